@@ -210,8 +210,8 @@ pub struct ReconstructArgs {
     /// What explains the photos: photo (visibility and the photos' agreement) or paper
     #[arg(long, value_name = "MODEL", value_parser = words::<ShadingModel>(MODELS))]
     pub model: Option<ShadingModel>,
-    /// Puts the world where another run, or cameras of the same photos, have it; by default a run that is done once more,
-    /// with a photo more, keeps its own where the cameras in common agree
+    /// Puts the world where another run, or cameras of the same photos, have it; by default a run that is done once
+    /// more, with a photo more, keeps its own where the cameras in common agree
     #[arg(long, value_name = "RUN|CAMERAS")]
     pub frame_of: Option<PathBuf>,
     /// Which pairs of photos are matched: auto (all of up to 20 photos, else those that look alike

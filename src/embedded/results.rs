@@ -3,7 +3,7 @@
 use super::failure::CommandFailure;
 use super::host::guarded;
 use crate::exit::Failure;
-use crate::pipeline::load_poses;
+use crate::pipeline::{cloud_offset, load_poses};
 use crate::store::RunDir;
 use rilievo_io::{
     IoError, read_channel, read_cloud_ply, read_depth, read_linear, read_normal, read_regular_text,
@@ -118,9 +118,9 @@ impl RunResults {
     /// near the origin.
     ///
     /// # Errors
-    /// As [`Self::cameras`].
+    /// When the file that states it is damaged.
     pub fn offset(&self) -> Result<[f64; 3], CommandFailure> {
-        guarded(|| Ok(self.posed()?.offset))
+        guarded(|| Ok(cloud_offset(&self.run)?))
     }
 
     /// The point cloud, without [`Self::offset`].

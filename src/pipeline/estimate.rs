@@ -61,8 +61,8 @@ struct Work {
     surface_bytes: f64,
 }
 
-/// What a request is expected to cost, told to the user with the forecast that it will take up to a stage; `None` where no
-/// photo tells its size.
+/// What a request is expected to cost, told to the user with the forecast that it will take up to a stage; `None` where
+/// no photo tells its size.
 pub fn expect(
     request: &Request,
     inputs: &Inputs,
@@ -284,8 +284,8 @@ impl Work {
         steps
     }
 
-    /// Photos, maps, what the report shows of each photo; and cloud and mesh, as large as the surface that is seen: photos
-    /// that go on around the object add to it, those between them do not.
+    /// Photos, maps, what the report shows of each photo; and cloud and mesh, as large as the surface that is seen:
+    /// photos that go on around the object add to it, those between them do not.
     fn disk_bytes(&self) -> f64 {
         const PHOTOS_AROUND: f64 = 14.0;
         let surface = (self.photos / PHOTOS_AROUND).sqrt().min(1.0) * self.object_px / self.photos;
@@ -326,8 +326,8 @@ fn object_share(inputs: &Inputs) -> Option<f64> {
     (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
 }
 
-/// How much longer this machine takes than the one that the factors were measured on: the best of a few small systems, by
-/// CPU time, so that other programs at work do not count.
+/// How much longer this machine takes than the one that the factors were measured on: the best of a few small systems,
+/// by CPU time, so that other programs at work do not count.
 fn slowness() -> f64 {
     const SIDE: usize = 96;
     let numbering = PixelNumbering::new(&Mask::filled(SIDE, SIDE, true));

@@ -1,14 +1,15 @@
 //! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, and where asked for `mesh.obj`, `mesh.glb` and the asset.
 
+use super::artifacts::read_json;
 use super::context::Context;
 use super::errors::from_fusion;
 use crate::exit::Failure;
-use crate::store::{FileScratch, StageWriter};
+use crate::store::{FileScratch, RunDir, StageWriter};
 use rilievo_fusion::{Fused, Inputs, MeshFormat};
 use rilievo_io::{
     CloudPlyWriter, ViewerFrame, write_asset, write_mesh_glb, write_mesh_obj, write_mesh_ply,
 };
-use rilievo_scene::{CloudError, CloudPoint, CloudSink, Observer, PosedViews};
+use rilievo_scene::{CloudError, CloudPoint, CloudSink, Observer, PosedViews, StageId};
 use std::path::PathBuf;
 
 /// Fuses all views.
@@ -53,6 +54,24 @@ impl CloudSink for Nowhere {
 
 /// File of the offset, where there is one.
 pub const OFFSET: &str = "offset.json";
+
+/// What the file of the offset states.
+#[derive(serde::Deserialize)]
+struct StatedOffset {
+    offset: [f64; 3],
+}
+
+/// What is added to positions of a committed stage 6 for those of the world.
+///
+/// # Errors
+/// When the file that states it is damaged.
+pub fn cloud_offset(run: &RunDir) -> anyhow::Result<[f64; 3]> {
+    if !run.stage_dir(StageId::Fusion).join(OFFSET).exists() {
+        return Ok([0.0; 3]);
+    }
+    let StatedOffset { offset } = read_json(run, StageId::Fusion, OFFSET)?;
+    Ok(offset)
+}
 
 /// Writes a mesh as PLY and in the other formats that are asked for, and the asset, to the paths of their names.
 pub fn write_surface(

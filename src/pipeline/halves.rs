@@ -18,8 +18,8 @@ pub struct ShapedHalf {
     pub shaded: ShadedViews,
 }
 
-/// Shapes the views of even and of odd viewpoints, each half alone: in the order of the photos, so that both see the object
-/// from all around where the photos were taken in turn, and neither a copy of what the other sees.
+/// Shapes the views of even and of odd viewpoints, each half alone: in the order of the photos, so that both see the
+/// object from all around where the photos were taken in turn, and neither a copy of what the other sees.
 ///
 /// # Errors
 /// When there are too few views, a half cannot be shaped, or the user asked to stop.

@@ -11,6 +11,7 @@ use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, read_cameras,
     read_lighting,
 };
+use rilievo_poses::ReferenceFrame;
 use rilievo_scene::{
     RigidTransform, StageId, Unit, WorldCoordinates, artifact_name, first_and_more,
 };
@@ -50,7 +51,7 @@ pub struct Inputs {
     /// The unit in which they were given.
     pub given_unit: Unit,
     /// Cameras whose frame is to be taken over.
-    pub frame_of: Option<CameraFile>,
+    pub frame_of: Option<ReferenceFrame>,
     /// What was said of the reference spheres.
     pub spheres: SphereInputs,
     /// Content hashes of the lighting's files, by role.
@@ -249,7 +250,7 @@ fn without_camera(
     }
     Ok((!without.is_empty()).then(|| {
         format!(
-            "the camera file has no entry for {}: their focal length comes from EXIF or is guessed, their poses are found",
+            "the camera file has no entry for {}: their focal length comes from EXIF or is guessed",
             first_and_more(without).unwrap_or_default()
         )
     }))
@@ -263,13 +264,23 @@ fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     }
 }
 
-/// Cameras of a run, or of a file.
-fn frame_of(path: &Path) -> Result<CameraFile, IoError> {
+/// The frame of the cameras of a run, or of a file.
+fn frame_of(path: &Path) -> Result<ReferenceFrame, IoError> {
     let of_run = path.join(StageId::Poses.name()).join("cameras.json");
-    match of_run.is_file() {
+    let mut cameras = match of_run.is_file() {
         true => read_cameras(&of_run),
         false => any_cameras(path),
-    }
+    }?;
+    cameras.to_metres();
+    let world = cameras.localize([0.0; 3]);
+    let posed = cameras.cameras.into_iter();
+    let posed = posed.filter_map(|camera| Some((camera.image?, camera.cam_from_world?)));
+    Ok(ReferenceFrame {
+        cameras: posed.collect(),
+        world,
+        knows_object: true,
+        is_asked: true,
+    })
 }
 
 /// The folder of masks with the names of its files.
@@ -292,8 +303,8 @@ impl MaskFolder {
         })
     }
 
-    /// The mask of a photo by its name, which may carry folders; without any, the folder that it is in distinguishes two
-    /// masks of one name.
+    /// The mask of a photo by its name, which may carry folders; without any, the folder that it is in distinguishes
+    /// two masks of one name.
     fn find(&self, photo: &PhotoFile) -> Option<PathBuf> {
         let within = photo.path.parent().and_then(Path::file_name);
         let name = self.names.find(&photo.name, &text_of(within))?;

@@ -27,7 +27,7 @@ pub use context::Context;
 pub use errors::{from_fusion, from_lighting, from_shading};
 pub use estimate::{REPORT, WRITING, expect, expect_with_masks};
 pub use execute::{Range, bring_up_to_date, run_stage};
-pub use fusion::{OFFSET, write_surface};
+pub use fusion::{OFFSET, cloud_offset, write_surface};
 pub use halves::{ShapedHalf, shaped_halves};
 pub use inputs::{Inputs, PhotoInput};
 pub use parallel::{Resources, start_threads};

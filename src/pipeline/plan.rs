@@ -200,10 +200,10 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
             let [x, y, z] = world.offset;
             let text = format!("{frame}; {unit}; offset {x} {y} {z}");
             hashes.insert("frame of given cameras".into(), text);
-            if let Some(cameras) = &inputs.frame_of {
-                let posed = cameras.cameras.iter().map(|c| (&c.image, c.cam_from_world));
-                let world = (cameras.unit, cameras.frame(), posed.collect::<Vec<_>>());
-                hashes.insert("frame asked for".into(), hash_json(&world));
+            if let Some(of) = &inputs.frame_of {
+                let (unit, frame) = (of.world.unit, of.world.frame);
+                let asked_for = hash_json(&(&of.cameras, unit, frame, of.world.offset));
+                hashes.insert("frame asked for".into(), asked_for);
             }
             hashes
         }

@@ -47,10 +47,8 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let mut options = context.request.options.poses.clone();
     options.memory = Some(context.resources.memory);
     options.given_world = context.inputs.given_world;
-    options.reference = match &context.inputs.frame_of {
-        Some(cameras) => Some(frame_asked_for(cameras)),
-        None => earlier_frame(context.run),
-    };
+    let asked_for = context.inputs.frame_of.clone();
+    options.reference = asked_for.or_else(|| earlier_frame(context.run));
     let (mut views, report) = rilievo_poses::run(
         &photos,
         &matches,
@@ -103,21 +101,6 @@ pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
     let names = names.flat_map(|view| [view.name.as_str(), view.file_name.as_str()]);
     checked_names(run, StageId::Poses, POSED_VIEWS, names)?;
     Ok(views)
-}
-
-/// The frame of cameras that the user asked for.
-fn frame_asked_for(cameras: &CameraFile) -> ReferenceFrame {
-    let mut cameras = cameras.clone();
-    cameras.to_metres();
-    let world = cameras.localize([0.0; 3]);
-    let posed = cameras.cameras.into_iter();
-    let posed = posed.filter_map(|camera| Some((camera.image?, camera.cam_from_world?)));
-    ReferenceFrame {
-        cameras: posed.collect(),
-        world,
-        knows_object: true,
-        is_asked: true,
-    }
 }
 
 /// The frame of the poses that the run has already; `None` where there are none that can be read.

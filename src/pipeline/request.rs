@@ -225,7 +225,7 @@ impl Request {
                 _ => MaskOrigin::Given,
             },
             cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
-            frame_of: optional(args.frame_of.as_deref(), "--frame-of")?,
+            frame_of: frame_of(args)?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,
             options,
@@ -277,6 +277,22 @@ fn listed_pairs(text: &str) -> Result<PairChoice, String> {
         return Err("lists no pair: two file names a line".to_owned());
     }
     Ok(PairChoice::Listed(pairs))
+}
+
+/// The run or cameras whose frame is asked for.
+fn frame_of(args: &ReconstructArgs) -> Result<Option<PathBuf>, Failure> {
+    let found = optional(args.frame_of.as_deref(), "--frame-of")?;
+    let is_own = |path: &PathBuf| {
+        let [own, other] = [&args.output, path].map(std::fs::canonicalize);
+        own.is_ok_and(|own| other.is_ok_and(|other| own == other))
+    };
+    match found {
+        Some(path) if is_own(&path) => Err(Failure::input(
+            &path,
+            "is this run itself, which keeps its frame where its cameras agree: leave --frame-of out",
+        )),
+        found => Ok(found),
+    }
 }
 
 fn optional(path: Option<&Path>, option: &str) -> Result<Option<PathBuf>, Failure> {

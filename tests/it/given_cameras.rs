@@ -99,8 +99,8 @@ fn offset_of(folder: &Path) -> [f64; 3] {
     serde_json::from_value(json_of(&folder.join("offset.json"))["offset"].clone()).unwrap()
 }
 
-/// Sorted distances of the vertices of a mesh that stands at an offset from the surface of the one at the origin, and the
-/// other way.
+/// Sorted distances of the vertices of a mesh that stands at an offset from the surface of the one at the origin, and
+/// the other way.
 fn distances(far: &Path, near: &Path, offset: [f64; 3]) -> Vec<f64> {
     let [mut far_mesh, near_mesh] =
         [far, near].map(|f| read_mesh_ply(&f.join("mesh.ply")).unwrap());

@@ -161,7 +161,8 @@ impl Comparison {
         Ok(())
     }
 
-    /// Writes the cloud coloured by its signed distance from the truth; those distances, none where there is no cloud or no true surface, or where these lie apart.
+    /// Writes the cloud coloured by its signed distance from the truth; those distances, none where there is no cloud
+    /// or no true surface, or where these lie apart.
     fn write_deviations(
         &self,
         evaluation: &Evaluation,

@@ -3,8 +3,8 @@
 //! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
 //! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours, among
 //! bright blobs and among dark ones, that pass the ratio test find an essential matrix; those, and
-//! less distinctive ones, that agree with it are kept ([`match_photos`]), but for those that stand still in the frame while
-//! others move ([`standing`]). Which pairs are matched, [`PairChoice`] says.
+//! less distinctive ones, that agree with it are kept ([`match_photos`]), but for those that stand still in the frame
+//! while others move ([`standing`]). Which pairs are matched, [`PairChoice`] says.
 
 mod candidates;
 mod descriptors;
@@ -207,14 +207,16 @@ impl<'a> Matcher<'a> {
         let [a, b] = [first, second].map(|photo| &self.descriptors[photo]);
         let mut matches = match_descriptors(a, b, widest_ratio);
         let is_near = |m: &DescriptorMatch| standing::is_near(self.motion(pair, m.pair));
+        let mut standing = Vec::new();
         if let Some(known) = known {
-            matches.retain(|m| !(is_near(m) && known.has([first, second], m.pair)));
+            let stands = |m: &DescriptorMatch| is_near(m) && known.has([first, second], m.pair);
+            standing.extend(matches.iter().filter(|m| stands(m)).map(|m| m.pair));
+            matches.retain(|m| !stands(m));
         }
         let distinctive = matches.iter().filter(|m| self.is_distinctive(m));
         let num_putative = distinctive.clone().count();
         let motions = distinctive.map(|m| self.motion(pair, m.pair));
         let mut found = None;
-        let mut standing = Vec::new();
         if known.is_none() && standing::have_peak(motions) {
             let (near, moving): (Vec<_>, Vec<_>) = matches.iter().copied().partition(is_near);
             // False matches agree by chance with few of their like.
@@ -279,7 +281,8 @@ impl<'a> Matcher<'a> {
     }
 }
 
-/// Matches pairs once more that have matches of keypoints which other pairs show to stand still, without these; a warning.
+/// Matches pairs once more that have matches of keypoints which other pairs show to stand still, without these; a
+/// warning.
 fn leave_out_standing(
     matcher: &Matcher<'_>,
     matched: &mut [PairMatches],
@@ -305,10 +308,13 @@ fn leave_out_standing(
     for (k, pair) in doubtful.into_iter().zip(again) {
         matched[k] = pair;
     }
+    let counts = matched.iter().map(|pair| pair.standing.len());
+    let counts = counts.filter(|&num| num > 0);
     let message = format!(
         "{} matches of {} pairs stand still in the frame while others move: a caption, a time stamp, dust on the sensor, \
          or a background that does not turn with the object; they are left out",
-        standing.num, standing.num_pairs
+        counts.clone().sum::<usize>(),
+        counts.count()
     );
     let flow = observer.warn(StageId::Features, message);
     flow.ok_or(FeaturesError::Interrupted)

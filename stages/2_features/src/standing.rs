@@ -1,16 +1,16 @@
-//! Matches that stand still in the frame while others move: captions, time stamps, dust on the sensor, hot pixels, and the
-//! background of an object that turns.
+//! Matches that stand still in the frame while others move: captions, time stamps, dust on the sensor, hot pixels, and
+//! the background of an object that turns.
 //!
 //! They obey a two-view geometry of their own, without any motion, and are often more than the object's. Motions of a
 //! scene are spread: between one and three times the motion that passes for none there are eight times as many matches
 //! as below it, where motions are spread evenly around none. What stands still makes a peak there instead. Where the
-//! rest of a pair then agrees on a geometry, the peak is no part of the scene; where it does not, as in two photos of one
-//! view, all matches count.
+//! rest of a pair then agrees on a geometry, the peak is no part of the scene; where it does not, as in two photos of
+//! one view, all matches count.
 
 use rilievo_scene::{PairMatches, PhotoKeypoints};
 
-/// Motion over the largest that passes for none up to which a match is taken for one that stands still, once the pair has
-/// such: the keypoints of larger blobs are found less exactly.
+/// Motion over the largest that passes for none up to which a match is taken for one that stands still, once the pair
+/// has such: the keypoints of larger blobs are found less exactly.
 const NEAR: f64 = 3.0;
 
 /// Whether a match may stand still.
@@ -25,7 +25,8 @@ pub(crate) fn have_peak(motions: impl Iterator<Item = f64>) -> bool {
         num_still += usize::from(motion < 1.0);
         num_near += usize::from((1.0..NEAR).contains(&motion));
     }
-    num_still > num_near
+    // Three standard deviations more than as many, so that few do not by chance.
+    num_still as f64 > num_near as f64 + 3.0 * ((num_near + 1) as f64).sqrt()
 }
 
 /// Keypoints, per photo, of matches that stand still while others of their pair move.
@@ -33,8 +34,6 @@ pub(crate) struct StandingKeypoints {
     are_standing: Vec<Vec<bool>>,
     /// Matches.
     pub num: usize,
-    /// Pairs that they are of.
-    pub num_pairs: usize,
 }
 
 impl StandingKeypoints {
@@ -50,7 +49,6 @@ impl StandingKeypoints {
         Self {
             are_standing,
             num: pairs.iter().map(|pair| pair.standing.len()).sum(),
-            num_pairs: pairs.iter().filter(|p| !p.standing.is_empty()).count(),
         }
     }
 

@@ -1,8 +1,9 @@
 //! Poses that the user gave.
 //!
-//! Two at different places fix the world: they are kept, and photos without one are posed in their frame. Before use they are checked: the share of verified
-//! matches within three times the epipolar limit of the essential matrix that the poses imply. Where
-//! they do not agree, common other conventions are tried, so that the message can name the likely one.
+//! Two at different places fix the world: they are kept, and photos without one are posed in their frame. Before use
+//! they are checked: the share of verified matches within three times the epipolar limit of the essential matrix that
+//! the poses imply. Where they do not agree, common other conventions are tried, so that the message can name the
+//! likely one.
 
 use crate::adjustment::BundleOptions;
 use crate::consistency::{MIN_CONSISTENT_SHARE, num_agreeing};

@@ -133,9 +133,17 @@ pub fn run(
         posed.frame = options.given_world.frame;
     }
     report.knows_object = object.len() >= level::MIN_OBJECT_POINTS;
-    let frame = options.reference.as_ref().and_then(|reference| {
-        reference::apply(reference, report.knows_object, &mut posed, &mut report)
-    });
+    let frame = match &options.reference {
+        Some(reference) if given.is_none() => {
+            reference::apply(reference, report.knows_object, &mut posed, &mut report)
+        }
+        Some(reference) if reference.is_asked => {
+            let message =
+                "the frame of --frame-of is not taken over: the given cameras have their own";
+            Some(message.to_owned())
+        }
+        _ => None,
+    };
     for message in warnings(&matched, &reconstruction, &posed, &report, frame) {
         error::warn(observer, message)?;
     }

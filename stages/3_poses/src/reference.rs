@@ -1,19 +1,19 @@
 //! The frame of an earlier result, or of other cameras, where the cameras in common agree.
 //!
 //! # Equations
-//! `x_ref = s R x + t`: `R` is the rotation nearest to the mean of `R_refᵢᵀ Rᵢ` over the cameras in common, `s` the ratio
-//! of their centres' spreads (1 between metric worlds), `t` takes the mean centre to the other. Cameras that differ most
-//! (a photo that was replaced) are left out one by one, as long as most remain.
+//! `x_ref = s R x + t`: `R` is the rotation nearest to the mean of `R_refᵢᵀ Rᵢ` over the cameras in common, `s` the
+//! ratio of their centres' spreads (1 between metric worlds), `t` takes the mean centre to the other. Cameras that
+//! differ most (a photo that was replaced) are left out one by one, as long as most remain.
 
 use crate::level::move_world;
 use crate::options::ReferenceFrame;
 use crate::report::PosesReport;
 use crate::scale::multiply;
-use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
-use rilievo_scene::{PosedViews, RigidTransform, Scale, ScaleSource, Unit, WorldFrame};
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use rilievo_scene::{PosedViews, RigidTransform, Scale, ScaleSource, Unit};
 
-/// Differences up to which cameras agree, degrees and share of the centres' spread: a photo more bends an arc of others by
-/// less; wrong poses differ by more.
+/// Differences up to which cameras agree, degrees and share of the centres' spread: a photo more bends an arc of others
+/// by less; wrong poses differ by more.
 const MAX_TURN_DEG: f64 = 2.0;
 const MAX_SHIFT: f64 = 0.05;
 /// Shift relative to the spread below which the worlds are the same but for rounding.
@@ -23,6 +23,18 @@ const SAME_WORLD: f64 = 1e-9;
 struct Common {
     reference: RigidTransform,
     own: RigidTransform,
+}
+
+/// The rotation nearest to a sum of rotations; `None` where they cancel each other.
+fn nearest_rotation(sum: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
+    let svd = sum.svd(true, true);
+    let (mut u, v_t) = (svd.u?, svd.v_t?);
+    if (u * v_t).determinant() < 0.0 {
+        u.column_mut(2).neg_mut();
+    }
+    let rotation = Rotation3::from_matrix_unchecked(u * v_t);
+    let is_determined = svd.singular_values[1] > f64::EPSILON * svd.singular_values[0];
+    is_determined.then(|| UnitQuaternion::from_rotation_matrix(&rotation))
 }
 
 /// How one world lies in the other.
@@ -62,7 +74,7 @@ impl Alignment {
         } else {
             1.0
         };
-        let rotation = UnitQuaternion::from_matrix(&turns);
+        let rotation = nearest_rotation(&turns)?;
         Some(Self {
             scale,
             ref_from_own: RigidTransform {
@@ -97,18 +109,13 @@ pub(crate) fn apply(
         false => "of the result before",
     };
     let not_taken = |why: &str| Some(format!("the frame {whose} is not taken over: {why}"));
-    if posed.frame == WorldFrame::Given {
-        return reference
-            .is_asked
-            .then(|| not_taken("the given cameras fix it"))?;
-    }
     // Where the object stands was not known then.
     if !reference.is_asked && knows_object && !reference.knows_object {
         return None;
     }
-    let is_scaled = posed.scale.unit == Unit::Arbitrary;
-    if !is_scaled && reference.world.unit == Unit::Arbitrary {
-        return not_taken("its lengths have no unit, these do");
+    let is_scaled = posed.scale.source == ScaleSource::Gauge;
+    if !is_scaled && reference.world.unit != posed.scale.unit {
+        return not_taken("its lengths have another unit");
     }
     let common: Vec<Common> = posed
         .views
@@ -124,9 +131,12 @@ pub(crate) fn apply(
             })
         })
         .collect();
+    if !reference.is_asked && common.len() < 2 {
+        return None;
+    }
     let mut kept: Vec<&Common> = common.iter().collect();
     let found = loop {
-        if kept.len() < 2 || 2 * kept.len() < common.len() {
+        if kept.len() < 2 || 2 * kept.len() <= common.len() {
             break None;
         }
         let Some(alignment) = Alignment::of(&kept, is_scaled) else {
@@ -144,7 +154,7 @@ pub(crate) fn apply(
     };
     let Some(alignment) = found else {
         return not_taken(&format!(
-            "of {} photos in common fewer than two, or fewer than half, agree on it",
+            "of {} photos in common fewer than two, or not most of them, agree on it",
             common.len()
         ));
     };
@@ -169,7 +179,8 @@ pub(crate) fn apply(
         multiply(posed, report, alignment.scale);
         posed.offset = reference.world.offset;
     }
-    if is_scaled && reference.world.unit == Unit::Metre {
+    // A size that the user no longer states is not kept.
+    if is_scaled && reference.is_asked && reference.world.unit == Unit::Metre {
         posed.scale = Scale {
             unit: Unit::Metre,
             source: ScaleSource::GivenPoses,

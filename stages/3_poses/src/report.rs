@@ -99,7 +99,8 @@ pub struct PosesReport {
     pub initial_pair: Option<(String, String)>,
     /// Views in the order of the result.
     pub views: Vec<ViewReport>,
-    /// Photos that were taken from the place of another before them, with that one: copies, bursts. They confirm nothing.
+    /// Photos that were taken from the place of another before them, with that one: copies, bursts. They confirm
+    /// nothing.
     #[serde(default)]
     pub same_place: Vec<(String, String)>,
     /// Sparse points.

@@ -12,8 +12,8 @@ use rilievo_scene::Mesh;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Share of the way to its triangles' other corners by which a copy moves: programs that join equal
-/// vertices leave the sheets apart, and no cell shows it.
-const APART: f32 = 1.0 / 16.0;
+/// vertices leave the sheets apart, and triangles ten pixels large show less than a tenth of one.
+const APART: f32 = 1.0 / 128.0;
 /// Edges that are looked at together: 12 bytes each.
 const EDGES_AT_ONCE: usize = 1 << 23;
 

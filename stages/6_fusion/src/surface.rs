@@ -142,8 +142,8 @@ pub(crate) fn extract(
         let deviation = DEVIATION_PX * loaded.median_footprint;
         report.simplified_by = simplify::coarsen(&mut mesh, deviation);
     }
-    report.num_triangles_before = Some(num_before).filter(|&n| n > mesh.triangles.len());
     mend(&mut mesh, options, &mut report);
+    report.num_triangles_before = Some(num_before).filter(|&n| n > mesh.triangles.len());
     let open = rim::boundary_loops(&mesh);
     report.num_open_loops = open.len();
     report.boundary_length = open.iter().map(|ring| holes::length(&mesh, ring)).sum();

@@ -433,7 +433,7 @@ fn the_frame_of_earlier_cameras_is_kept_where_those_in_common_agree() {
             translation: -(rotation * center),
         }
     };
-    let told_with = |change: &dyn Fn(usize, RigidTransform) -> RigidTransform| {
+    let told_with = |change: &dyn Fn(usize, RigidTransform) -> RigidTransform, is_asked: bool| {
         let cameras = own.views.iter().enumerate();
         let cameras = cameras.map(|(k, view)| (view.file_name.clone(), change(k, moved(view))));
         let reference = ReferenceFrame {
@@ -444,7 +444,7 @@ fn the_frame_of_earlier_cameras_is_kept_where_those_in_common_agree() {
                 offset: [0.0; 3],
             },
             knows_object: true,
-            is_asked: false,
+            is_asked,
         };
         let options = rilievo_poses::PosesOptions {
             reference: Some(reference),
@@ -459,7 +459,10 @@ fn the_frame_of_earlier_cameras_is_kept_where_those_in_common_agree() {
         2 => look_at(Point3::new(9.0, 9.0, 9.0), Point3::origin()),
         _ => pose,
     };
-    let (posed, report, told) = told_with(&replaced);
+    // A size that nothing states any more is not kept, that of cameras which were asked for is.
+    let (posed, _, _) = told_with(&replaced, false);
+    assert_eq!(posed.scale.unit, Unit::Arbitrary);
+    let (posed, report, told) = told_with(&replaced, true);
     assert!(told.contains("5 cameras in common agree"), "{told}");
     assert_eq!(report.num_frame_cameras, Some(5));
     assert_eq!(
@@ -477,7 +480,7 @@ fn the_frame_of_earlier_cameras_is_kept_where_those_in_common_agree() {
         rotation: UnitQuaternion::from_euler_angles(0.0, 0.5 * k as f64, 0.0) * pose.rotation,
         ..pose
     };
-    let (posed, report, told) = told_with(&scrambled);
+    let (posed, report, told) = told_with(&scrambled, false);
     assert!(told.contains("not taken over"), "{told}");
     assert_eq!((posed.frame, report.num_frame_cameras), (own.frame, None));
 }

@@ -330,9 +330,10 @@ fn is_zero(offset: &[f64; 3]) -> bool {
 }
 
 impl PosedViews {
-    /// Of every view the first view of its viewpoint, itself where none before it was taken from there: copies of a photo,
-    /// bursts, and frames of a video that hardly moves. The way from view to view is held against the smaller of the
-    /// median depths of the points that they see; views without points share a viewpoint only at the very same place.
+    /// Of every view the first view of its viewpoint, itself where none before it was taken from there: copies of a
+    /// photo, bursts, and frames of a video that hardly moves. The way from view to view is held against the smaller of
+    /// the median depths of the points that they see; views without points share a viewpoint only at the very same
+    /// place.
     pub fn viewpoints(&self) -> Vec<ViewIdx> {
         let mut depths: Vec<Vec<f64>> = vec![Vec::new(); self.views.len()];
         for point in &self.points {

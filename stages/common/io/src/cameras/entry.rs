@@ -71,7 +71,9 @@ impl CameraFile {
         });
         let mut extra = serde_json::Map::new();
         extra.insert("frame".to_owned(), views.frame.words().into());
-        if let Some(offset) = views.coordinates().offset() {
+        // Other files of a run are in metres where it has a unit.
+        let is_unit_of_run = matches!(views.scale.unit, Unit::Metre | Unit::Arbitrary);
+        if let Some(offset) = views.coordinates().offset().filter(|_| is_unit_of_run) {
             extra.insert(SURFACE_OFFSET.to_owned(), offset.to_vec().into());
         }
         let unregistered = views.unregistered.iter();
@@ -108,18 +110,22 @@ impl CameraFile {
         world
     }
 
-    /// A local frame for cameras of this file at these poses: at the offset that the file states, else at `known`, where
-    /// they stand near that, else near their own place.
+    /// A local frame for cameras of this file at these poses: at `known` where that is no zero, else at the
+    /// offset that the file states, where they stand near that, else near their own place.
     pub fn local_world(
         &self,
         poses: impl Iterator<Item = RigidTransform>,
         known: [f64; 3],
     ) -> WorldCoordinates {
         let poses: Vec<RigidTransform> = poses.collect();
+        let known = match known {
+            [0.0, 0.0, 0.0] => self.surface_offset().unwrap_or(known),
+            known => known,
+        };
         WorldCoordinates {
             unit: self.unit,
             frame: self.frame(),
-            offset: local_offset(&poses, self.surface_offset().unwrap_or(known)),
+            offset: local_offset(&poses, known),
         }
     }
 
