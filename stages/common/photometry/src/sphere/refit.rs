@@ -85,13 +85,13 @@ fn agreement_px(fit: &SphereFit) -> f64 {
     (square / used().count().max(1) as f64).sqrt()
 }
 
-/// Whether offsets, one a photo, have a mean that is neither their scatter nor what any edge has.
+/// Whether offsets, one a photo, have a mean that neither their scatter explains nor the bias that any edge has.
 fn is_displaced(offsets: &[f64]) -> bool {
     let num = offsets.len() as f64;
     let mean = offsets.iter().sum::<f64>() / num;
     let square = offsets.iter().map(|o| (o - mean).powi(2)).sum::<f64>();
-    let sigma = (square / (num - 1.0) / num).sqrt();
-    mean.abs() > OUTLINE_BIAS_PX && mean.abs() > MAX_DEVIATIONS * sigma
+    let variance = square / (num - 1.0) / num;
+    mean.abs() > MAX_DEVIATIONS * (variance + OUTLINE_BIAS_PX.powi(2)).sqrt()
 }
 
 /// Outlines that the images show near a predicted sphere, where enough of an outline is seen.
