@@ -3,7 +3,7 @@
 //! Correlation needs no exposure, so it searches one level coarser; where views agree their intensities
 //! give the gains, and what the gains leave is the photos' disagreement, from which σ_m follows. With
 //! the gains divided out the coarse level is searched again, by squared differences where brightness
-//! is as good as constant.
+//! is as good as constant. A search is repeated against the depths that the other views found.
 //!
 //! Finer levels are searched where photos disagree too much to be compared pixel by pixel. Gloss,
 //! bounce and dirt make two photos of one point differ; σ_m grows with that disagreement, and
@@ -27,8 +27,6 @@ use rilievo_stereo::patch_cost::{PatchCost, Plane};
 use rilievo_stereo::patchmatch::{self, SearchOptions};
 use rilievo_stereo::search::{self, Search};
 use rilievo_stereo::start;
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use std::time::Instant;
 
 /// Relative noise of 8-bit photographs: no photos agree better than this.
@@ -42,6 +40,8 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 const SIGMA_SHARE: f64 = 0.4;
 /// Sources that count in a search without a start: the best ones.
 const NUM_BEST: usize = 3;
+/// Repetitions of a search against what the other views found.
+const NUM_REPETITIONS: usize = 2;
 /// Fusions of the surfaces searched at a finer level: every view's search errs by itself, their
 /// mean errs less. The second takes in what the first brought near.
 const NUM_FUSIONS: usize = 2;
@@ -54,16 +54,34 @@ impl Solver<'_> {
         self.report.disagreement >= LARGE_DISAGREEMENT
     }
 
-    /// What `keep` takes of every view's planes at a level, searched from those that `start`
-    /// returns.
-    fn dense_search<T: Serialize + DeserializeOwned + Send>(
+    /// Log depths of every view at a level, searched from the planes that `start` returns, and then against what the
+    /// other views found.
+    fn consistent_search(
         &self,
         at: usize,
         posed: &PosedViews,
         cost: PatchCost,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-        keep: impl Fn(Vec<Plane>) -> T + Sync,
-    ) -> Result<Vec<T>, ShadingError> {
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let mut planes = self.dense_search(at, posed, cost, start, None)?;
+        for _ in 0..NUM_REPETITIONS {
+            let found = log_depths(&planes);
+            let start = |i: usize| planes[i].clone();
+            planes = self.dense_search(at, posed, cost, Some(&start), Some(&found))?;
+        }
+        Ok(log_depths(&planes))
+    }
+
+    /// Planes of every view at a level, searched from those that `start` returns, and against the log depths that were
+    /// found before, if any.
+    fn dense_search(
+        &self,
+        at: usize,
+        posed: &PosedViews,
+        cost: PatchCost,
+        start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
+        found: Option<&[Vec<f64>]>,
+    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
         let points: Vec<Point3<f64>> = posed
             .points
             .iter()
@@ -78,12 +96,15 @@ impl Solver<'_> {
         };
         let (level, masked) = (self.scene.level(at), self.scene.masked);
         let search = Search::new(level, masked, &points, start.is_some(), &options);
-        let search = search.ok_or_else(|| ShadingError::NoDepth {
+        let mut search = search.ok_or_else(|| ShadingError::NoDepth {
             view: self.scene.frames[0].name.clone(),
         })?;
+        if let Some(found) = found {
+            search = search.against(found);
+        }
         self.divided(memory::search_bytes(level), |i| {
             let start = start.map(|of_view| of_view(i));
-            Ok(keep(search.view(i, start.as_deref())))
+            Ok(search.view(i, start.as_deref()))
         })
     }
 
@@ -100,9 +121,9 @@ impl Solver<'_> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.progress(PhotoStep::Exposure, 0, 1)?;
-        let planes = self.dense_search(at, posed, PatchCost::Correlation, None, |planes| planes)?;
+        let planes = self.dense_search(at, posed, PatchCost::Correlation, None, None)?;
         let level = self.scene.level(at);
-        let depths: Vec<Vec<f64>> = planes.iter().map(|of_view| log_depths(of_view)).collect();
+        let depths = log_depths(&planes);
         let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
         let mut exposure = gains::estimate(level, &depths, &agreement);
         if kind == LightKind::Camera {
@@ -158,7 +179,7 @@ impl Solver<'_> {
             |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
-        let depths = self.dense_search(at, posed, cost, start, |planes| log_depths(&planes))?;
+        let depths = self.consistent_search(at, posed, cost, start)?;
         let found = self.found(at, &self.exact_solvers(at), &depths)?;
         self.report.search_scatter_px = found.scatter_px;
         for (i, agreement) in found.agreement.iter().enumerate() {
@@ -182,9 +203,7 @@ impl Solver<'_> {
         let level = self.scene.level(at);
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
         let cost = PatchCost::Correlation;
-        let searched = self.dense_search(at, posed, cost, Some(&tangent), |planes| {
-            log_depths(&planes)
-        })?;
+        let searched = self.consistent_search(at, posed, cost, Some(&tangent))?;
         let found = self.found(at, solvers, &searched)?;
         self.show(at, "searched", &found.surface)?;
         let mut surface = found.surface;
@@ -225,8 +244,10 @@ impl Solver<'_> {
     }
 }
 
-fn log_depths(planes: &[Plane]) -> Vec<f64> {
-    planes.iter().map(Plane::log_depth).collect()
+/// Log depths of the views' planes.
+fn log_depths(planes: &[Vec<Plane>]) -> Vec<Vec<f64>> {
+    let of_view = |planes: &Vec<Plane>| planes.iter().map(Plane::log_depth).collect();
+    planes.iter().map(of_view).collect()
 }
 
 /// What a search found.

@@ -5,6 +5,10 @@
 //! source's mask. The patch is weighted by a Gaussian; samples that differ from the pixel in
 //! brightness may lie beyond an edge of the object, on another plane, and count less: `gaussian ·
 //! exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
+//!
+//! Where the sources' depths were searched before, a plane also costs what it contradicts them by, `0.15 min(|ζ − ζ_j| f,
+//! 2)` of log depths in source `j` (geometric consistency as of Schönberger, Zheng, Frahm, Pollefeys, ECCV 2016): a
+//! plane that looks right by chance in one view is not what the others found.
 
 use crate::camera::Warp;
 use crate::level::{Level, LevelView};
@@ -61,11 +65,16 @@ const CONTRAST: f32 = 0.15;
 /// Samples below this weight are left out; the centre has 1.
 const MIN_WEIGHT: f32 = 0.01;
 
+/// Cost of a pixel footprint between a plane and the depth that was found in a source.
+const APART_COST: f32 = 0.15;
+/// Footprints beyond which it costs no more: what a source does not see, or saw wrongly, decides nothing alone.
+const MAX_APART_PX: f32 = 2.0;
+
 /// Samples that are worked on together.
 const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
-struct Source {
+struct Source<'a> {
     width: usize,
     height: usize,
     /// Intensities at `(x, y)`, `(x + 1, y)`, `(x, y + 1)`, `(x + 1, y + 1)` side by side, so that
@@ -73,10 +82,17 @@ struct Source {
     quads: Vec<[f32; 4]>,
     a: [[f32; 3]; 3],
     b: [f32; 3],
+    /// Log depths that were found here, not a number outside the mask; and the focal length, pixels.
+    found: Option<(&'a Raster<f32>, f32)>,
 }
 
-impl Source {
-    fn new(grey: &Raster<f32>, mask: &Mask, warp: &Warp) -> Self {
+impl<'a> Source<'a> {
+    fn new(
+        grey: &Raster<f32>,
+        mask: &Mask,
+        warp: &Warp,
+        found: Option<(&'a Raster<f32>, f32)>,
+    ) -> Self {
         let (width, height) = (grey.width, grey.height);
         let mut quads = vec![[f32::NAN; 4]; width * height];
         for y in 0..height.saturating_sub(1) {
@@ -93,7 +109,23 @@ impl Source {
             quads,
             a: [0, 1, 2].map(|r| [0, 1, 2].map(|c| warp.a[(r, c)] as f32)),
             b: [0, 1, 2].map(|r| warp.b[r] as f32),
+            found,
         }
+    }
+
+    /// Cost of a point's distance from the depth that was found where it lands, `at` its homogeneous pixel for a depth of
+    /// one where it is seen from.
+    fn apart(&self, at: [f32; 3], inverse_depth: f32) -> f32 {
+        let Some((depths, focal)) = self.found else {
+            return 0.0;
+        };
+        let is_seen = Map::is_within(at, self);
+        let (u, v) = ((at[0] / at[2]).round(), (at[1] / at[2]).round());
+        let depth = is_seen.then(|| *depths.at(u as usize, v as usize));
+        let apart = depth.map(|depth| ((at[2] / inverse_depth).ln() - depth).abs() * focal);
+        // Not a number where nothing was found.
+        let apart = apart.filter(|apart| *apart < MAX_APART_PX);
+        APART_COST * apart.unwrap_or(MAX_APART_PX)
     }
 }
 
@@ -124,7 +156,7 @@ fn offsets() -> impl Iterator<Item = (i32, i32)> {
 /// Compares patches of a view with its sources.
 pub(crate) struct Matcher<'a> {
     pub view: &'a LevelView,
-    sources: Vec<Source>,
+    sources: Vec<Source<'a>>,
     gaussian: Vec<f32>,
     /// Log brightness of the view.
     log_grey: Raster<f32>,
@@ -140,8 +172,8 @@ impl<'a> Matcher<'a> {
         level: &'a Level,
         index: usize,
         masks: &[Mask],
-        cost: PatchCost,
-        num_best: usize,
+        found: Option<&'a [Raster<f32>]>,
+        (cost, num_best): (PatchCost, usize),
     ) -> Self {
         let view = &level.views[index];
         let (pixels, grey) = (&view.pixels, &view.grey);
@@ -152,7 +184,10 @@ impl<'a> Matcher<'a> {
         let sources = level.sources[index]
             .iter()
             .take(MAX_SOURCES)
-            .map(|(j, warp)| Source::new(&level.views[*j].grey, &masks[*j], warp))
+            .map(|(j, warp)| {
+                let found = found.map(|depths| (&depths[*j], level.focal() as f32));
+                Source::new(&level.views[*j].grey, &masks[*j], warp, found)
+            })
             .collect();
         let n = pixels.len();
         let mean = (0..n)
@@ -237,6 +272,7 @@ impl<'a> Matcher<'a> {
             along_x,
             along_y,
         };
+        let apart = s.apart(centre, w);
         // Seen whole by the source, as nearly every patch is, it needs no checks.
         let unchecked = map
             .is_inside(s)
@@ -244,9 +280,9 @@ impl<'a> Matcher<'a> {
             .filter(|sums| !sums[2].is_nan());
         let [sw, s1, s2, s11, s22, s12] = unchecked.unwrap_or_else(|| map.sums::<true>(s, patch));
         if sw < 0.3 * patch.total {
-            return 2.0;
+            return 2.0 + apart;
         }
-        let out = 1.0 - sw / patch.total;
+        let out = 1.0 - sw / patch.total + apart;
         let (m1, m2) = (s1 / sw, s2 / sw);
         match self.cost {
             PatchCost::SquaredDifferences { sigma } => {

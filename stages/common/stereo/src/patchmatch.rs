@@ -11,7 +11,7 @@ use crate::patch_cost::{Matcher, Patch, PatchCost, Plane};
 use crate::plate;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_numerics::robust::median;
-use rilievo_scene::Mask;
+use rilievo_scene::{Mask, Raster};
 
 /// Size of a search.
 #[derive(Clone, Copy, Debug)]
@@ -89,11 +89,12 @@ pub fn search(
     masks: &[Mask],
     ranges: &[InverseDepthRange],
     start: Option<&[Plane]>,
+    found: Option<&[Raster<f32>]>,
     options: &SearchOptions,
 ) -> Vec<Plane> {
     let view = &level.views[index];
     let pixels = &view.pixels;
-    let matcher = Matcher::new(level, index, masks, options.cost, options.num_best);
+    let matcher = Matcher::new(level, index, masks, found, (options.cost, options.num_best));
     let focal = view.camera.focal() as f32;
     let mut planes = match start {
         Some(planes) => planes.to_vec(),
@@ -334,7 +335,7 @@ mod tests {
             seed: 0,
         };
         let ranges = vec![range; middle.pixels.len()];
-        let planes = search(&level, 1, &masks, &ranges, None, &options);
+        let planes = search(&level, 1, &masks, &ranges, None, None, &options);
         // Pixels within four of the edge, and away from the frame.
         let (mut right, mut all) = (0, 0);
         for (p, plane) in planes.iter().enumerate() {

@@ -5,7 +5,7 @@ use crate::level::Level;
 use crate::patch_cost::{PatchCost, Plane};
 use crate::patchmatch::{self, SearchOptions};
 use nalgebra::Point3;
-use rilievo_scene::Mask;
+use rilievo_scene::{Mask, Raster};
 
 /// A search of the views of a level, which work it out one by one.
 pub struct Search<'a> {
@@ -16,6 +16,8 @@ pub struct Search<'a> {
     /// Where each view may find the object.
     ranges: Vec<InverseDepthRange>,
     options: SearchOptions,
+    /// Log depths that were found in every view before, not a number outside its mask.
+    found: Option<Vec<Raster<f32>>>,
 }
 
 impl<'a> Search<'a> {
@@ -57,7 +59,19 @@ impl<'a> Search<'a> {
             masks,
             ranges,
             options,
+            found: None,
         })
+    }
+
+    /// With the log depths that were found in every view before, which planes are held against.
+    #[must_use]
+    pub fn against(self, depths: &[Vec<f64>]) -> Self {
+        let views = self.level.views.iter().zip(depths);
+        let found = views.map(|(view, depths)| view.spread(depths, f32::NAN));
+        Self {
+            found: Some(found.collect()),
+            ..self
+        }
     }
 
     /// Planes of view `index`, from earlier ones where there are any.
@@ -80,6 +94,7 @@ impl<'a> Search<'a> {
             &self.masks,
             &ranges,
             start,
+            self.found.as_deref(),
             &self.options,
         )
     }
