@@ -40,8 +40,6 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 const SIGMA_SHARE: f64 = 0.4;
 /// Sources that count in a search without a start: the best ones.
 const NUM_BEST: usize = 3;
-/// Repetitions of a search against what the other views found.
-const NUM_REPETITIONS: usize = 2;
 /// Fusions of the surfaces searched at a finer level: every view's search errs by itself, their
 /// mean errs less. The second takes in what the first brought near.
 const NUM_FUSIONS: usize = 2;
@@ -63,12 +61,10 @@ impl Solver<'_> {
         cost: PatchCost,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
-        let mut planes = self.dense_search(at, posed, cost, start, None)?;
-        for _ in 0..NUM_REPETITIONS {
-            let found = log_depths(&planes);
-            let start = |i: usize| planes[i].clone();
-            planes = self.dense_search(at, posed, cost, Some(&start), Some(&found))?;
-        }
+        let first = self.dense_search(at, posed, cost, start, None)?;
+        let found = log_depths(&first);
+        let start = |i: usize| first[i].clone();
+        let planes = self.dense_search(at, posed, cost, Some(&start), Some(&found))?;
         Ok(log_depths(&planes))
     }
 
