@@ -3,8 +3,9 @@
 //! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
 //! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours, among
 //! bright blobs and among dark ones, that pass the ratio test find an essential matrix; those, and
-//! less distinctive ones, that agree with it are kept ([`match_photos`]), but for those that stand still in the frame
-//! while others move ([`standing`]). Which pairs are matched, [`PairChoice`] says.
+//! less distinctive ones, that agree with it are kept ([`match_photos`]), but for those that stand
+//! still in the frame while others move (module `standing`). Which pairs are matched, [`PairChoice`]
+//! says.
 
 mod candidates;
 mod descriptors;

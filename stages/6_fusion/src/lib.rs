@@ -59,7 +59,7 @@ use rilievo_scene::{
 use views::LoadedViews;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 11;
+pub const VERSION: u32 = 12;
 
 /// Smooth distance between views, in footprints, from which the layers show.
 const VISIBLE_LAYERING_PX: f64 = 1.0;

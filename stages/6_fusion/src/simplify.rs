@@ -55,8 +55,7 @@ pub(crate) fn coarsen(mesh: &mut Mesh, deviation: f64) -> f64 {
             break;
         }
     }
-    let index = vec![0; mesh.vertices.len()];
-    drop_unused(mesh, index);
+    tidy(mesh);
     moved
 }
 
@@ -76,9 +75,40 @@ pub(crate) fn simplify(mesh: &mut Mesh, max_num_triangles: usize) -> f64 {
         Some(&mut error),
     );
     mesh.triangles = kept.as_chunks::<3>().0.to_vec();
+    tidy(mesh);
+    f64::from(error)
+}
+
+/// Drops what collapsed edges leave behind: vertices that no triangle uses, and the two sides of what
+/// has become flat, triangles of the same corners that look opposite ways. They bound no solid, and
+/// what they leave open without each other they also do together: nothing.
+fn tidy(mesh: &mut Mesh) {
+    let sorted = |t: &[u32; 3]| {
+        let mut corners = *t;
+        corners.sort_unstable();
+        // An even number of exchanges is a turn of the corners, an odd one turns the triangle over.
+        let is_turn = (0..3).any(|k| [t[k], t[(k + 1) % 3], t[(k + 2) % 3]] == corners);
+        (corners, is_turn)
+    };
+    let mut places: Vec<([u32; 3], bool, u32)> = Vec::with_capacity(mesh.triangles.len());
+    places.extend((mesh.triangles.iter().zip(0..)).map(|(t, k)| {
+        let (corners, is_turn) = sorted(t);
+        (corners, is_turn, k)
+    }));
+    places.sort_unstable();
+    let mut is_flat = vec![false; mesh.triangles.len()];
+    for same in places.chunk_by(|a, b| a.0 == b.0) {
+        let (over, turned) = same.split_at(same.partition_point(|(_, is_turn, _)| !is_turn));
+        for (one, other) in over.iter().zip(turned) {
+            is_flat[one.2 as usize] = true;
+            is_flat[other.2 as usize] = true;
+        }
+    }
+    drop(places);
+    let mut flat = is_flat.iter();
+    mesh.triangles.retain(|_| flat.next() == Some(&false));
     let index = vec![0; mesh.vertices.len()];
     drop_unused(mesh, index);
-    f64::from(error)
 }
 
 /// The same as a mesh of its own, without colours. A mesh of more than `max_num_dense` triangles is
@@ -237,6 +267,43 @@ mod tests {
                 assert!(1.0 - middle < 4.0 * deviation, "{middle}");
             }
         }
+    }
+
+    #[test]
+    fn pieces_that_become_flat_are_dropped() {
+        // A tetrahedron far smaller than the deviation, beside a sphere and joined to nothing.
+        let mut mesh = sphere(40);
+        let num = mesh.vertices.len() as u32;
+        let corners = [
+            [0.0, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.05],
+        ];
+        for at in corners {
+            mesh.vertices.push(at.map(|c: f32| 2.0 + 1e-2 * c));
+            mesh.normals.push([0.0, 0.0, 1.0]);
+            mesh.colors.push([0; 3]);
+        }
+        let sides = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        mesh.triangles.extend(sides.map(|t| t.map(|v| v + num)));
+        let before = mesh.clone();
+        coarsen(&mut mesh, 2e-3);
+        assert!(mesh.vertices.iter().all(|at| at[0] < 1.5));
+        assert!(rim::boundary_loops(&mesh).is_empty());
+        // A flat pair beside the real triangle of the same corners leaves that one.
+        let mut mesh = before.clone();
+        let [a, b, c] = mesh.triangles[7];
+        mesh.triangles.extend([[b, a, c], [b, c, a]]);
+        tidy(&mut mesh);
+        let turned = |mesh: &Mesh| {
+            let least = |t: &[u32; 3]| (0..3).map(|k| [t[k], t[(k + 1) % 3], t[(k + 2) % 3]]).min();
+            let mut all: Vec<_> = mesh.triangles.iter().map(least).collect();
+            all.sort_unstable();
+            all
+        };
+        assert_eq!(turned(&mesh), turned(&before));
+        assert_eq!(mesh.vertices, before.vertices);
     }
 
     #[test]
