@@ -244,8 +244,8 @@ pub struct ReconstructArgs {
 #[derive(Clone, Debug, Args)]
 pub struct SurfaceArgs {
     /// Distance between the points of the cloud, in metres (the cameras' unit where it is another);
-    /// by default about one point a pixel of the best view. It thins the cloud only: the mesh keeps
-    /// its resolution
+    /// by default about one point a pixel of the best view, or as fine as the relief that the photos
+    /// resolve. It thins the cloud only: the mesh keeps its resolution
     #[arg(long, value_name = "LENGTH")]
     pub spacing: Option<f64>,
     /// Leaves about N triangles of the mesh, such as 200000 for the web and phones; its vertices
@@ -253,7 +253,8 @@ pub struct SurfaceArgs {
     /// the surface by no more than a tenth of a pixel
     #[arg(long, value_name = "N", conflicts_with = "full", value_parser = RangedU64ValueParser::<usize>::new().range(100..))]
     pub triangles: Option<usize>,
-    /// Keeps all triangles of the mesh, as fine as the photos' pixels everywhere
+    /// Keeps all triangles of the mesh and all points of the cloud, as fine as the photos' pixels
+    /// everywhere
     #[arg(long)]
     pub full: bool,
     /// Closes the mesh where no view saw anything

@@ -13,7 +13,7 @@ use crate::initial_pair::{self, InitialPair};
 use crate::matched::{CameraPrior, MatchedPhotos};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
-use crate::projection::CenteredPose;
+use crate::projection::{CenteredPose, K1};
 use crate::ranking::{MIN_NUM_VISIBLE_POINTS, Ranking};
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use crate::resection::resect;
@@ -33,7 +33,7 @@ const NUM_LOCAL_VIEWS: usize = 6;
 /// Initial pairs that are tried before a model is given up.
 const MAX_NUM_INITIAL_PAIRS: usize = 6;
 /// Views that distinguish a focal length from a motion along the axis.
-const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
+pub(crate) const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
 /// Views from which lens distortion can be told from the shape of the scene.
 pub(crate) const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least relative drop of the cost for which distortion is adopted: noise alone lowers it by the
@@ -259,6 +259,26 @@ fn extend(
     Ok(())
 }
 
+/// Goes on with a model whose cameras have become better: its points anew, and photos that have no pose yet.
+pub(crate) fn go_on(
+    matched: &MatchedPhotos<'_>,
+    reconstruction: &mut Reconstruction,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<(), PosesError> {
+    let limits = limits(options);
+    for _ in 0..2 {
+        let model = &mut reconstruction.model;
+        model.triangulate_all(matched, &limits);
+        reconstruction.adjustments.push(adjust_all(model, matched)?);
+    }
+    let mut available = vec![true; matched.num_photos()];
+    for &photo in &reconstruction.contradicting {
+        available[photo] = reconstruction.model.poses[photo].is_some();
+    }
+    extend(matched, reconstruction, &available, options, observer)
+}
+
 /// Registers photos that have no pose yet, the best seen first, while all others stay where they are: only the new
 /// photo, its camera where that is not given, and its points are adjusted.
 pub(crate) fn extend_around(
@@ -309,7 +329,7 @@ pub(crate) fn extend_around(
 
 /// What may change: the focal length once enough views hold it, distortion once it was adopted.
 pub(crate) fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
-    let bent = |c: &AdjustedCamera| c.deviation[1..].iter().any(|&d| d != 0.0);
+    let bent = |c: &AdjustedCamera| c.deviation[K1..].iter().any(|&d| d != 0.0);
     if model.num_views() < MIN_NUM_VIEWS_FOR_INTRINSICS {
         IntrinsicsScope::Fixed
     } else if model.cameras.iter().any(bent) {
@@ -326,7 +346,7 @@ pub(crate) fn try_full_intrinsics(
     model: &mut Model,
     matched: &MatchedPhotos<'_>,
 ) -> Result<Option<AdjustmentReport>, PosesError> {
-    let more = |c: &CameraPrior| c.prior_sigma[1..].iter().any(Option::is_some);
+    let more = |c: &CameraPrior| c.prior_sigma[K1..].iter().any(Option::is_some);
     if intrinsics_scope(model) != IntrinsicsScope::Focal
         || model.num_views() < MIN_NUM_VIEWS_FOR_DISTORTION
         || !matched.cameras.iter().any(more)

@@ -102,7 +102,7 @@ fn largest_shift_px(matched: &MatchedPhotos<'_>, bent: &Model) -> f64 {
 }
 
 /// Share by which the cost falls, where it clearly does.
-fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64> {
+pub(crate) fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64> {
     let (cost, cost_after) = (before.solve.final_cost, after.solve.final_cost);
     let parameters = 3 * before.num_points + 6 * before.num_views;
     let degrees = (2 * before.num_observations).saturating_sub(parameters);

@@ -20,6 +20,7 @@ mod matched;
 mod model;
 mod narrow;
 mod options;
+mod own_center;
 mod own_focal;
 mod p3p;
 mod projection;
@@ -52,7 +53,7 @@ use rilievo_scene::{
 use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 17;
+pub const VERSION: u32 = 18;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -84,7 +85,8 @@ pub fn run(
         None => {
             let first = largest_model(&matched, options, observer)?;
             let found = larger_from_found_focal(&mut matched, first, options, observer)?;
-            with_own_focals(&mut matched, found, options, observer)?
+            let found = with_own_focals(&mut matched, found, options, observer)?;
+            with_own_centers(&mut matched, found, options, observer)?
         }
     };
     if !keeps_given {
@@ -172,6 +174,7 @@ fn warnings(
     lens.chain(focal)
         .chain(contradicted_exif(matched, reconstruction))
         .chain(own_focal::warnings(matched, &reconstruction.model))
+        .chain(own_center::warning(matched, &reconstruction.model))
         .chain(narrow::warning(posed))
         .chain(report.same_place_warning())
         .chain(frame)
@@ -250,6 +253,23 @@ fn with_own_focals(
     matched.cameras.truncate(num_cameras);
     matched.camera_of = camera_of;
     Ok(first)
+}
+
+/// Goes on with principal points beside the middle of the photos, where these explain them clearly better.
+fn with_own_centers(
+    matched: &mut MatchedPhotos<'_>,
+    mut found: Found,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<Found, PosesError> {
+    // The model stands without what this looks for.
+    let own = own_center::find(matched, &found.0.model, options).unwrap_or_default();
+    if let Some(mut own) = own {
+        own.swap(matched);
+        found.0.model = own.model;
+        incremental::go_on(matched, &mut found.0, options, observer)?;
+    }
+    Ok(found)
 }
 
 /// Whether a focal length is farther from its start than EXIF's may be when it is right.

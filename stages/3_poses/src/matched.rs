@@ -24,6 +24,7 @@ const KEYPOINT_SIGMA_PX: f64 = 0.15;
 const KEYPOINT_SIGMA_PER_SIZE: f64 = 0.05;
 
 /// A camera shared by photos.
+#[derive(Clone)]
 pub(crate) struct CameraPrior {
     /// Its group in the photo set.
     pub group: usize,
@@ -35,6 +36,10 @@ pub(crate) struct CameraPrior {
     pub start_ln_focal: f64,
     /// Whether it was made for photos that were zoomed or cropped, see [`crate::own_focal`].
     pub is_own: bool,
+    /// Whether its principal point is not where the photos' middle is, see [`crate::own_center`].
+    pub is_cropped: bool,
+    /// The camera that it shares its lens with: all but the principal point.
+    pub lens_of: Option<usize>,
 }
 
 /// Photos with their cameras, keypoints and tracks.
@@ -75,6 +80,8 @@ impl<'a> MatchedPhotos<'a> {
                         ),
                         start_ln_focal: 0.0,
                         is_own: false,
+                        is_cropped: false,
+                        lens_of: None,
                     });
                     cameras.len() - 1
                 })

@@ -3,7 +3,7 @@
 use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
 use crate::error::PosesError;
 use crate::matched::{CameraPrior, DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, MatchedPhotos};
-use crate::projection::{CenteredPose, FOCAL, K1, NUM_INTRINSICS};
+use crate::projection::{CenteredPose, FOCAL, K1, NUM_INTRINSICS, PRINCIPAL_POINT};
 use crate::report::AdjustmentReport;
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate};
 use nalgebra::{Matrix3, Point2, Point3};
@@ -68,7 +68,12 @@ impl IntrinsicsScope {
         let mut sigma = [None; NUM_INTRINSICS];
         match self {
             Self::Fixed => {}
-            Self::Focal => sigma[FOCAL] = camera.prior_sigma[FOCAL],
+            Self::Focal => {
+                sigma[FOCAL] = camera.prior_sigma[FOCAL];
+                if camera.is_cropped {
+                    sigma[PRINCIPAL_POINT].copy_from_slice(&camera.prior_sigma[PRINCIPAL_POINT]);
+                }
+            }
             Self::All => sigma = camera.prior_sigma,
             Self::Nuisance => sigma[K1] = Some(DISTORTION_SIGMA[0]),
             Self::NuisanceAndFocal => {
@@ -115,6 +120,7 @@ impl Model {
                 .iter()
                 .map(|c| {
                     let mut camera = AdjustedCamera::fixed(c.initial);
+                    camera.lens_of = c.lens_of;
                     camera.deviation[FOCAL] = c.start_ln_focal;
                     camera
                 })
@@ -372,6 +378,7 @@ impl Model {
         let cameras = self.cameras.iter().zip(&matched.cameras);
         let cameras = cameras.map(|(camera, fixed)| AdjustedCamera {
             prior_sigma: scope.intrinsics.prior_sigma(fixed),
+            lens_of: fixed.lens_of,
             ..camera.clone()
         });
         let mut bundle = Bundle {

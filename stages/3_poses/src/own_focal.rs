@@ -9,6 +9,7 @@ use crate::incremental::{adjust_all, limits};
 use crate::matched::{CameraPrior, GUESS_FOCAL_SIGMA, MatchedPhotos};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::own_center::CROP_OFFSET;
 use crate::projection::{FOCAL, PRINCIPAL_POINT};
 use crate::ranking::MIN_NUM_VISIBLE_POINTS;
 use crate::resection::resect;
@@ -44,8 +45,6 @@ const MIN_NUM_OTHERS: usize = 2;
 const MAX_NUM_POINTS: usize = 400;
 /// Largest difference of logarithms between photos of one zoom.
 const SAME_ZOOM: f64 = 0.06;
-/// Standard deviation of the principal point of a cropped photo, as a share of its longer side.
-const CROP_OFFSET: f64 = 0.05;
 
 /// A photo with another focal length than its camera's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -222,6 +221,8 @@ pub(crate) fn give_cameras(
             prior_sigma,
             start_ln_focal: 0.0,
             is_own: true,
+            is_cropped: false,
+            lens_of: None,
         };
         for OwnFocal { photo, .. } in zoom {
             matched.camera_of[photo] = matched.cameras.len();

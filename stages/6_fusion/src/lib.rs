@@ -59,7 +59,7 @@ use rilievo_scene::{
 use views::LoadedViews;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 12;
+pub const VERSION: u32 = 13;
 
 /// Smooth distance between views, in footprints, from which the layers show.
 const VISIBLE_LAYERING_PX: f64 = 1.0;
@@ -91,6 +91,9 @@ pub struct Fused {
     /// How it came out.
     pub report: FusionReport,
 }
+
+/// Pixels of the smallest relief from which the cloud is thinned to it: below, it would lose a few points alone.
+const MIN_RESOLVED_PX: f64 = 2.0;
 
 /// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error
 /// the cloud is not complete.
@@ -126,6 +129,14 @@ pub fn run(
         flow.ok_or(FusionError::Interrupted)
     };
     let (loaded, mut views) = views::prepare(photos, posed, maps, scratch, options, next)?;
+    let is_coarser = !options.full && maps.resolved_px() >= MIN_RESOLVED_PX;
+    let options = &FusionOptions {
+        spacing: match options.spacing {
+            0.0 if is_coarser => maps.resolved_px() * loaded.median_footprint,
+            asked => asked,
+        },
+        ..options.clone()
+    };
     let caches = PageCaches::new(&loaded.store, memory::num_pages(options));
     let layering = layering::measure(&loaded, &caches)?;
     drop(caches);
@@ -162,6 +173,7 @@ pub fn run(
     };
     let report = FusionReport {
         num_points: facts.num_points,
+        spacing: options.spacing,
         mean_num_views: facts.num_views as f64 / facts.num_points as f64,
         num_covered: facts.num_covered,
         share_apart: (facts.num_covered > 0)

@@ -60,7 +60,8 @@ pub struct FusionOptions {
     /// than this all must.
     pub min_num_views: usize,
     /// Distance between the points of the cloud, world's unit; 0 keeps about a point per squared
-    /// pixel footprint of the views that see the surface best.
+    /// pixel footprint of the views that see the surface best, fewer where the maps hold no relief
+    /// as fine as two pixels.
     pub spacing: f64,
     /// Whether to make a mesh.
     pub mesh: bool,
@@ -70,8 +71,9 @@ pub struct FusionOptions {
     /// Triangles that about are left of the mesh, more where its pieces and holes need them;
     /// vertices keep their normals. 0 does not bound them.
     pub max_num_triangles: usize,
-    /// Whether the mesh has all triangles of its cells, and cells as fine as `voxel_px` also where the
-    /// maps hold no such relief; else flat places are coarser, within .1 pixel footprints.
+    /// Whether the mesh has all triangles of its cells, and cells and points are as fine as `voxel_px`
+    /// and the pixels also where the maps hold no such relief; else flat places are coarser, within
+    /// .1 pixel footprints.
     pub full: bool,
     /// Whether the mesh is closed where no view saw anything.
     pub watertight: bool,

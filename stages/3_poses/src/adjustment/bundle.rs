@@ -1,6 +1,6 @@
 //! What is adjusted: cameras, views, points and their sightings, with its cost and its residuals.
 
-use crate::projection::{CenteredPose, NUM_INTRINSICS, retract_intrinsics};
+use crate::projection::{CenteredPose, NUM_INTRINSICS, PRINCIPAL_POINT, retract_intrinsics};
 use nalgebra::{Point2, Point3, Vector2};
 use rayon::prelude::*;
 use rilievo_numerics::robust::RobustLoss;
@@ -19,6 +19,8 @@ pub(crate) struct AdjustedCamera {
     pub deviation: [f64; NUM_INTRINSICS],
     /// Standard deviation of each parameter's prior; `None` keeps it fixed.
     pub prior_sigma: [Option<f64>; NUM_INTRINSICS],
+    /// The camera whose focal length and distortion this one has too, with one prior for both.
+    pub lens_of: Option<usize>,
 }
 
 impl AdjustedCamera {
@@ -28,7 +30,15 @@ impl AdjustedCamera {
             initial,
             deviation: [0.0; NUM_INTRINSICS],
             prior_sigma: [None; NUM_INTRINSICS],
+            lens_of: None,
         }
+    }
+
+    /// The parameters that it has a prior of its own for: index, deviation, standard deviation.
+    pub(super) fn priors(&self) -> impl Iterator<Item = (usize, f64, f64)> {
+        let own =
+            (0..NUM_INTRINSICS).filter(|&k| self.lens_of.is_none() || PRINCIPAL_POINT.contains(&k));
+        own.filter_map(|k| Some((k, self.deviation[k], self.prior_sigma[k]?)))
     }
 
     /// The camera with its deviation applied.
@@ -154,11 +164,8 @@ impl Bundle {
     }
 
     fn prior_cost(&self) -> f64 {
-        self.cameras
-            .iter()
-            .flat_map(|c| c.deviation.iter().zip(&c.prior_sigma))
-            .filter_map(|(d, sigma)| sigma.map(|s| PRIOR_LOSS.cost(d / s)))
-            .sum()
+        let priors = self.cameras.iter().flat_map(AdjustedCamera::priors);
+        priors.map(|(_, d, s)| PRIOR_LOSS.cost(d / s)).sum()
     }
 
     /// Ranges of points, cut so that they do not depend on the number of threads.

@@ -1,13 +1,13 @@
 //! Columns of the reduced system, and which of its entries are not zero.
 //!
-//! Columns come in blocks, one for each view and each camera with free parameters. Two blocks meet
+//! Columns come in blocks, one for each view, for each camera's lens and for its principal point where they are free. Two blocks meet
 //! in the Schur complement where both bear on one point, so that a view meets the views that it shares
 //! points with, and a refined camera all of its own. The lower triangle is kept by columns: below the
 //! diagonal block follow the blocks that meet it, ascending, so that all columns of a block have the
 //! same rows but for those above their diagonal.
 
 use super::bundle::Bundle;
-use crate::projection::NUM_INTRINSICS;
+use crate::projection::{NUM_INTRINSICS, PRINCIPAL_POINT};
 use std::ops::Range;
 
 /// Column of each parameter in the reduced system; `None` where it is fixed.
@@ -46,10 +46,28 @@ impl Layout {
             views.push(columns);
         }
         let mut cameras = Vec::with_capacity(bundle.cameras.len());
+        // Of each camera its lens, then its principal point: cameras may share the former alone.
         for camera in &bundle.cameras {
-            let columns = camera.prior_sigma.map(|s| number(s.is_some()));
-            end_block(columns.iter().flatten().next_back().copied());
+            let is_own = |k: usize| camera.lens_of.is_none() || PRINCIPAL_POINT.contains(&k);
+            let mut columns = [None; NUM_INTRINSICS];
+            for of_lens in [true, false] {
+                let mut last = None;
+                for k in 0..NUM_INTRINSICS {
+                    if of_lens != PRINCIPAL_POINT.contains(&k) {
+                        columns[k] = number(is_own(k) && camera.prior_sigma[k].is_some());
+                        last = columns[k].or(last);
+                    }
+                }
+                end_block(last);
+            }
             cameras.push(columns);
+        }
+        for (k, camera) in bundle.cameras.iter().enumerate() {
+            if let Some(lens) = camera.lens_of {
+                let mut columns: [Option<usize>; NUM_INTRINSICS] = cameras[lens];
+                columns[PRINCIPAL_POINT].copy_from_slice(&cameras[k][PRINCIPAL_POINT]);
+                cameras[k] = columns;
+            }
         }
         let pattern = Pattern::new(starts, &blocks_of_points(bundle, &blocks));
         Self {
@@ -69,7 +87,12 @@ fn blocks_of_points(bundle: &Bundle, blocks: &[Option<usize>]) -> Vec<Vec<usize>
             let observations = &bundle.observations[range[0]..range[1]];
             let mut found: Vec<usize> = observations
                 .iter()
-                .flat_map(|o| [o.view, bundle.views.len() + bundle.views[o.view].camera])
+                .flat_map(|o| {
+                    let camera = bundle.views[o.view].camera;
+                    let lens = bundle.cameras[camera].lens_of.unwrap_or(camera);
+                    let first = bundle.views.len();
+                    [o.view, first + 2 * lens, first + 2 * camera + 1]
+                })
                 .filter_map(|k| blocks[k])
                 .collect();
             found.sort_unstable();

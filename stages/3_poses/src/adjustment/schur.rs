@@ -99,12 +99,11 @@ impl System {
             chunks.push(chunk);
         }
         for (camera, columns) in bundle.cameras.iter().zip(&layout.cameras) {
-            let priors = camera.prior_sigma.iter().zip(&camera.deviation);
-            for (column, (sigma, deviation)) in columns.iter().zip(priors) {
-                if let (Some(c), Some(sigma)) = (column, sigma) {
+            for (k, deviation, sigma) in camera.priors() {
+                if let Some(c) = columns[k] {
                     let precision = PRIOR_LOSS.weight(deviation / sigma) / (sigma * sigma);
-                    u[pattern.column_starts[*c]] += precision;
-                    gradient[*c] += precision * deviation;
+                    u[pattern.column_starts[c]] += precision;
+                    gradient[c] += precision * deviation;
                 }
             }
         }
@@ -292,6 +291,7 @@ fn build_chunk(
                     columns.push((*c, [j.by_intrinsics[(0, k)], j.by_intrinsics[(1, k)]]));
                 }
             }
+            columns.sort_unstable_by_key(|(column, _)| *column);
             for (a, (column, d)) in columns.iter().enumerate() {
                 gradient[*column] += weight * (d[0] * residual.x + d[1] * residual.y);
                 let w = (j.by_point.row(0) * d[0] + j.by_point.row(1) * d[1]).transpose() * weight;

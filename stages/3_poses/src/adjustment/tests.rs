@@ -60,6 +60,22 @@ fn bundle(noise: f64, refine: bool) -> Bundle {
     bundle
 }
 
+/// Two of the views have a principal point of their own, with the lens of the others.
+fn crop_some(bundle: &mut Bundle) {
+    bundle.cameras[0].prior_sigma[1] = Some(40.0);
+    let mut cropped = bundle.cameras[0].clone();
+    cropped.lens_of = Some(0);
+    cropped.prior_sigma[1..3].fill(Some(40.0));
+    cropped.deviation[1..3].copy_from_slice(&[30.0, -20.0]);
+    bundle.cameras.push(cropped);
+    bundle.views[1].camera = 1;
+    bundle.views[3].camera = 1;
+    let observations = Arc::make_mut(&mut bundle.observations);
+    for o in observations.iter_mut().filter(|o| o.view % 2 == 1) {
+        o.pixel += nalgebra::Vector2::new(35.0, -22.0);
+    }
+}
+
 /// Full normal equations by differences of all residuals.
 fn dense(bundle: &Bundle, layout: &Layout, num_columns: usize) -> (DMatrix<f64>, DVector<f64>) {
     let num_points = bundle.points.len();
@@ -73,25 +89,24 @@ fn dense(bundle: &Bundle, layout: &Layout, num_columns: usize) -> (DMatrix<f64>,
             predicted_decrease: 0.0,
         };
         let moved = bundle.retract(layout, &step);
-        let camera = moved.cameras[0].current();
         let mut out = Vec::new();
         for p in 0..num_points {
             for o in &moved.observations[moved.offsets[p]..moved.offsets[p + 1]] {
-                let seen = camera
+                let seen = moved.cameras[moved.views[o.view].camera]
+                    .current()
                     .project(&moved.views[o.view].pose.apply(&moved.points[p]))
                     .unwrap();
                 let root = o.weight.sqrt();
                 out.extend([root * (seen.x - o.pixel.x), root * (seen.y - o.pixel.y)]);
             }
         }
-        let before = &bundle.cameras[0];
-        for ((d, start), sigma) in moved.cameras[0]
-            .deviation
-            .iter()
-            .zip(&before.deviation)
-            .zip(&before.prior_sigma)
-        {
-            out.extend(sigma.map(|s| PRIOR_LOSS.weight(start / s).sqrt() * d / s));
+        for (before, moved) in bundle.cameras.iter().zip(&moved.cameras) {
+            let is_own = |k: &usize| before.lens_of.is_none() || (1..3).contains(k);
+            for k in (0..8).filter(is_own) {
+                let (start, d) = (before.deviation[k], moved.deviation[k]);
+                let sigma = before.prior_sigma[k];
+                out.extend(sigma.map(|s| PRIOR_LOSS.weight(start / s).sqrt() * d / s));
+            }
         }
         out
     };
@@ -111,13 +126,17 @@ fn dense(bundle: &Bundle, layout: &Layout, num_columns: usize) -> (DMatrix<f64>,
 
 #[test]
 fn the_step_is_that_of_the_dense_system() {
-    for refine in [false, true] {
+    for (refine, is_cropped, num_columns) in
+        [(false, false, 17), (true, false, 19), (true, true, 22)]
+    {
         let mut bundle = bundle(0.8, refine);
         if refine {
             bundle.cameras[0].deviation[0] = 0.01;
         }
+        if is_cropped {
+            crop_some(&mut bundle);
+        }
         let layout = Layout::new(&bundle);
-        let num_columns = if refine { 19 } else { 17 };
         let (h, g) = dense(&bundle, &layout, num_columns);
         let lambda = 1e-3;
         let mut damped = h.clone();

@@ -187,6 +187,76 @@ fn zoomed_and_cropped_photos_get_a_focal_length_of_their_own() {
     }
 }
 
+/// A photo cut at its left (positive) or right side and at its top (positive) or bottom, pixels, without a word of it.
+fn crop(set: &mut World, photo: usize, [x, y]: [f64; 2]) {
+    for keypoint in &mut set.matches.photos[photo].keypoints {
+        keypoint.x -= x.max(0.0) as f32;
+        keypoint.y -= y.max(0.0) as f32;
+    }
+    let camera = &mut set.photos.photos[photo].intrinsics;
+    camera.width -= x.abs() as usize;
+    camera.height -= y.abs() as usize;
+    camera.cx = (camera.width as f64 - 1.0) / 2.0;
+    camera.cy = (camera.height as f64 - 1.0) / 2.0;
+}
+
+#[test]
+fn photos_cropped_beside_the_middle_keep_their_optical_axis() {
+    let [left, right] = [[200.0, 0.0], [-200.0, 0.0]];
+    let uncropped = [0.0; 2];
+    for (num_views, noise_px, outlier_share, crops) in [
+        (4, 0.0, 0.0, vec![left, left, right, right]),
+        (4, 0.2, 0.0, vec![left; 4]),
+        (6, 0.2, 0.1, vec![left, right, left, right, left, right]),
+        (6, 0.2, 0.0, vec![[0.0, 150.0]; 6]),
+        (
+            8,
+            0.2,
+            0.1,
+            [vec![uncropped; 6], vec![[200.0, 150.0]; 2]].concat(),
+        ),
+        // As large a frame, with nothing cut, is left as it is: so are noise and wrong matches.
+        (4, 0.2, 0.0, vec![uncropped; 4]),
+        (8, 0.5, 0.2, vec![uncropped; 8]),
+    ] {
+        let mut set = world(&WorldOptions {
+            num_views,
+            noise_px: noise_px / 0.6,
+            outlier_share,
+            ..WorldOptions::default()
+        });
+        for (photo, crop_of) in crops.iter().enumerate() {
+            // Room for crops.
+            zoom(&mut set, photo, 0.6, [0.0; 2]);
+            set.photos.photos[photo].intrinsics.fx *= 0.6;
+            set.photos.photos[photo].intrinsics.fy *= 0.6;
+            set.photos.photos[photo].focal_source = FocalSource::Exif35mm;
+            crop(&mut set, photo, *crop_of);
+        }
+        let (posed, _, warnings) = solve_and_tell(&set, &options());
+        let case = format!("{num_views} views, {noise_px} px, {crops:?}");
+        assert_eq!(posed.views.len(), num_views, "{case}");
+        let (center, rotation) = pose_errors(&posed, &set.cam_from_world);
+        assert!(center < 0.01, "{case}: {center} {rotation}");
+        assert!(rotation < 0.3, "{case}: {center} {rotation}");
+        for view in &posed.views {
+            let [x, y] = crops[view.photo.0];
+            let camera = &view.intrinsics;
+            let focal = camera.fx / 780.0 - 1.0;
+            assert!(focal.abs() < 0.01, "{case}: {focal}");
+            let (cx, cy) = (599.5 - x.max(0.0), 449.5 - y.max(0.0));
+            let offset = (camera.cx - cx).hypot(camera.cy - cy);
+            assert!(offset < 8.0, "{case}: {offset} px");
+        }
+        let is_told = warnings.iter().any(|w| w.contains("optical axis"));
+        assert_eq!(
+            is_told,
+            crops.iter().any(|c| *c != uncropped),
+            "{case}: {warnings:?}"
+        );
+    }
+}
+
 #[test]
 fn few_narrow_views_keep_to_the_focal_length_of_exif() {
     // Three photos over ten degrees hardly tell the focal length: EXIF, two per cent off, does.

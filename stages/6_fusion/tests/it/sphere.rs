@@ -9,7 +9,7 @@ use rilievo_scene::{
     ShadedViews, Silent,
 };
 use rilievo_synthetic::testing::{Impatient, Maps, Random, look_at, on_sphere, photo, posed_view};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 const WIDTH: usize = 160;
 const HEIGHT: usize = 120;
@@ -215,7 +215,7 @@ impl MapSource for Blurred {
 fn cells_are_no_finer_than_the_relief_that_the_maps_hold() {
     let (posed, shaded) = views(&ARC, 1.0);
     let maps = Blurred(shaded, 3.0);
-    let voxel = |full: bool| {
+    let fuse = |full: bool| {
         let inputs = Inputs {
             photos: &PhotoSet::default(),
             posed: &posed,
@@ -226,10 +226,29 @@ fn cells_are_no_finer_than_the_relief_that_the_maps_hold() {
             full,
             ..FusionOptions::default()
         };
-        let fused = run(inputs, &mut PointCloud::default(), &options, &Silent).expect("fused");
-        fused.report.mesh.expect("a mesh").voxel
+        let mut cloud = PointCloud::default();
+        let report = run(inputs, &mut cloud, &options, &Silent)
+            .expect("fused")
+            .report;
+        (report, cloud)
     };
-    assert!((voxel(false) / voxel(true) - 3.0).abs() < 1e-9);
+    let [(report, cloud), (full, all)] = [false, true].map(fuse);
+    let full_voxel = full.mesh.expect("a mesh").voxel;
+    let voxel = report.mesh.expect("a mesh").voxel;
+    assert!((voxel / full_voxel - 3.0).abs() < 1e-9);
+    // So are the points: one in a cube.
+    assert_eq!(full.spacing, 0.0);
+    assert!((report.spacing / voxel - 1.0).abs() < 1e-9);
+    let cube = |at: [f32; 3]| at.map(|c| (f64::from(c) / report.spacing).floor() as i64);
+    let cubes = |cloud: &PointCloud| {
+        cloud
+            .points
+            .iter()
+            .map(|p| cube(p.position))
+            .collect::<BTreeSet<_>>()
+    };
+    assert_eq!(cubes(&cloud).len(), cloud.points.len());
+    assert_eq!(cubes(&cloud), cubes(&all));
 }
 
 /// How many edges have other than two triangles which run through them against each other, equal

@@ -1,0 +1,224 @@
+//! Photos whose principal point is not in their middle: cropped or straightened beside it.
+//!
+//! A crop beside the middle looks like a turn of the camera. What the turn leaves over bends focal length, poses and shape,
+//! so that every figure looks well and the size is per cents off. Where no camera file says better, the principal points
+//! are tried free in an adjustment of the whole model: one of each camera, then one of each photo, with the lens shared as
+//! before. They are taken where the cost falls clearly and a point lies farther from the middle than a lens puts it.
+
+use crate::adjustment::BundleOptions;
+use crate::error::PosesError;
+use crate::incremental::{MIN_NUM_VIEWS_FOR_INTRINSICS, intrinsics_scope, limits};
+use crate::lens::clear_drop;
+use crate::matched::{CameraPrior, MatchedPhotos};
+use crate::model::{AdjustmentScope, Model};
+use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::projection::{FOCAL, PRINCIPAL_POINT};
+use crate::report::AdjustmentReport;
+use rilievo_scene::{Intrinsics, first_and_more};
+use std::collections::BTreeMap;
+
+/// Standard deviation of the principal point of a cropped photo, as a share of its longer side.
+pub(crate) const CROP_OFFSET: f64 = 0.05;
+/// Least offset that counts as a crop, as a share of the longer side: lenses stay below.
+const MIN_OFFSET: f64 = 0.02;
+
+/// Largest difference between offsets of one crop, as a share of the longer side: those found photo by photo scatter by
+/// half as much.
+const SAME_CROP: f64 = 0.02;
+
+/// Times that points are found anew with free principal points.
+const NUM_ROUNDS: usize = 2;
+
+/// Cameras, some with principal points of their own, which photo has which, and a model with them.
+pub(crate) struct OwnCenters {
+    pub cameras: Vec<CameraPrior>,
+    pub camera_of: Vec<usize>,
+    pub model: Model,
+}
+
+impl OwnCenters {
+    /// Offset of each photo's principal point from the middle, as a share of the longer side.
+    fn offsets(&self) -> Vec<[f64; 2]> {
+        let offset = |&camera: &usize| {
+            let camera = &self.model.cameras[camera];
+            let [x, y] = [0, 1].map(|k| camera.deviation[PRINCIPAL_POINT][k]);
+            [x, y].map(|offset| offset / longer(&camera.initial))
+        };
+        self.camera_of.iter().map(offset).collect()
+    }
+
+    /// Does something with the photos as if they had these cameras.
+    fn with<T>(
+        &mut self,
+        matched: &mut MatchedPhotos<'_>,
+        act: impl FnOnce(&MatchedPhotos<'_>, &mut Model) -> T,
+    ) -> T {
+        self.swap(matched);
+        let done = act(matched, &mut self.model);
+        self.swap(matched);
+        done
+    }
+
+    /// Exchanges the cameras of the photos for these.
+    pub fn swap(&mut self, matched: &mut MatchedPhotos<'_>) {
+        std::mem::swap(&mut matched.cameras, &mut self.cameras);
+        std::mem::swap(&mut matched.camera_of, &mut self.camera_of);
+    }
+}
+
+fn longer(camera: &Intrinsics) -> f64 {
+    camera.width.max(camera.height) as f64
+}
+
+/// A guess at how photos were cropped.
+struct Crops {
+    /// Along which sides.
+    axes: [bool; 2],
+    /// Per photo: which it shares its principal point with, and `None` for one that has it in the middle.
+    crop_of: Vec<Option<usize>>,
+}
+
+/// Principal points that explain the photos clearly better than their middles; `None` where none do.
+///
+/// # Errors
+/// When an adjustment breaks down.
+pub(crate) fn find(
+    matched: &mut MatchedPhotos<'_>,
+    model: &Model,
+    options: &PosesOptions,
+) -> Result<Option<OwnCenters>, PosesError> {
+    let is_free = |&camera: &usize| matched.cameras[camera].prior_sigma[FOCAL].is_some();
+    if options.refine_intrinsics != RefineIntrinsics::Auto
+        || model.num_views() < MIN_NUM_VIEWS_FOR_INTRINSICS
+        || !matched.camera_of.iter().all(is_free)
+    {
+        return Ok(None);
+    }
+    let plain = adjust(matched, &mut model.clone())?;
+    let each = Crops {
+        axes: [true; 2],
+        crop_of: (0..matched.num_photos()).map(Some).collect(),
+    };
+    let in_the_middle = vec![[0.0; 2]; matched.num_photos()];
+    let (mut most, mut best) = tried(matched, model, &each, &in_the_middle)?;
+    if clear_drop(&plain, &most).is_none() {
+        return Ok(None);
+    }
+    // Matches that contradicted the turned cameras tell the offsets, too.
+    let limits = limits(options);
+    for _ in 0..NUM_ROUNDS {
+        most = best.with(matched, |matched, model| {
+            model.triangulate_all(matched, &limits);
+            adjust(matched, model)
+        })?;
+    }
+    let mut base = best.model.clone();
+    base.cameras.truncate(matched.cameras.len());
+    // The fewest parameters that explain the photos as well.
+    let (cameras, offsets) = (matched.camera_of.clone(), best.offsets());
+    let shared = |axes| Crops {
+        axes,
+        crop_of: cameras.iter().copied().map(Some).collect(),
+    };
+    let alike = |axes| same_crops(&cameras, &offsets, axes);
+    let sides = [[true, false], [false, true], [true, true]];
+    for crops in sides.map(shared).into_iter().chain(sides.map(alike)) {
+        let (cost, fewer) = tried(matched, &base, &crops, &offsets)?;
+        if clear_drop(&cost, &most).is_none() {
+            best = fewer;
+            break;
+        }
+    }
+    let is_far = |[x, y]: &[f64; 2]| x.hypot(*y) >= MIN_OFFSET;
+    Ok(best.offsets().iter().any(is_far).then_some(best))
+}
+
+/// Photos of one camera whose offsets are equal along the sides; those in the middle share it.
+fn same_crops(cameras: &[usize], offsets: &[[f64; 2]], axes: [bool; 2]) -> Crops {
+    let along = |offset: &[f64; 2]| [0, 1].map(|k| if axes[k] { offset[k] } else { 0.0 });
+    let mut crop_of = vec![None; cameras.len()];
+    for photo in 0..cameras.len() {
+        let [x, y] = along(&offsets[photo]);
+        if x.hypot(y) < MIN_OFFSET {
+            continue;
+        }
+        let is_same = |&first: &usize| {
+            let [u, v] = along(&offsets[first]);
+            crop_of[first] == Some(first)
+                && cameras[first] == cameras[photo]
+                && (x - u).hypot(y - v) < SAME_CROP
+        };
+        crop_of[photo] = (0..photo).find(is_same).or(Some(photo));
+    }
+    Crops { axes, crop_of }
+}
+
+/// The model after an adjustment of all with the principal points of the crops free, which start at the mean of their
+/// photos' `offsets` (shares of the longer side).
+fn tried(
+    matched: &mut MatchedPhotos<'_>,
+    model: &Model,
+    crops: &Crops,
+    offsets: &[[f64; 2]],
+) -> Result<(AdjustmentReport, OwnCenters), PosesError> {
+    let mut photos_of: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (photo, crop) in crops.crop_of.iter().enumerate() {
+        if let Some(crop) = crop {
+            photos_of.entry(*crop).or_default().push(photo);
+        }
+    }
+    let mut own = OwnCenters {
+        cameras: matched.cameras.clone(),
+        camera_of: matched.camera_of.clone(),
+        model: model.clone(),
+    };
+    for photos in photos_of.values() {
+        let lens = own.camera_of[photos[0]];
+        let mut prior = own.cameras[lens].clone();
+        let mut camera = model.cameras[lens].clone();
+        prior.lens_of = Some(lens);
+        prior.is_cropped = true;
+        for k in (0..2).filter(|&k| crops.axes[k]) {
+            let mean = photos.iter().map(|&p| offsets[p][k]).sum::<f64>() / photos.len() as f64;
+            camera.deviation[PRINCIPAL_POINT][k] = mean * longer(&prior.initial);
+            prior.prior_sigma[PRINCIPAL_POINT][k] = Some(CROP_OFFSET * longer(&prior.initial));
+        }
+        for &photo in photos {
+            own.camera_of[photo] = own.cameras.len();
+        }
+        own.cameras.push(prior);
+        own.model.cameras.push(camera);
+    }
+    let report = own.with(matched, adjust)?;
+    Ok((report, own))
+}
+
+/// Adjusts all of a model.
+fn adjust(matched: &MatchedPhotos<'_>, model: &mut Model) -> Result<AdjustmentReport, PosesError> {
+    let scope = AdjustmentScope::all("principal points free", intrinsics_scope(model));
+    model.adjust(matched, &scope, &BundleOptions::complete(1e-6))
+}
+
+/// A sentence for the photos that have a principal point of their own.
+pub(crate) fn warning(matched: &MatchedPhotos<'_>, model: &Model) -> Option<String> {
+    let posed = (0..matched.num_photos()).filter(|&p| model.poses[p].is_some());
+    let offset = |photo: usize| {
+        let camera = model.cameras[matched.camera_of[photo]].current();
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        let middle = [(width - 1.0) / 2.0, (height - 1.0) / 2.0];
+        (camera.cx - middle[0]).hypot(camera.cy - middle[1]) / longer(&camera)
+    };
+    let cropped: Vec<usize> = posed
+        .filter(|&p| matched.cameras[matched.camera_of[p]].is_cropped)
+        .collect();
+    let largest = cropped.iter().map(|&p| offset(p)).fold(0.0, f64::max);
+    let names = cropped
+        .iter()
+        .map(|&p| matched.photos.photos[p].file_name.as_str());
+    Some(format!(
+        "{}: the matches say that the optical axis meets the photo up to {:.0} % of its longer side beside the middle: \
+         cropped or straightened; the matches were believed",
+        first_and_more(names)?,
+        100.0 * largest,
+    ))
+}
