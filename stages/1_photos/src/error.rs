@@ -197,7 +197,7 @@ pub enum PhotosError {
     #[error(
         "brightness differs by {spread_ev:.1} EV between {dark} and {bright}, and EXIF does not tell \
          the exposures: automatic exposure? Shoot with fixed exposure, keep EXIF, leave out the odd \
-         photos, or force it with max_level_spread_ev under [photos]"
+         photos, or force it with photos.max_level_spread_ev"
     )]
     Exposure {
         /// Largest over smallest median level, EV.

@@ -14,7 +14,9 @@ pub enum LightingError {
     #[error(transparent)]
     Inconsistent(#[from] Inconsistent),
     /// No photo has a pose.
-    #[error("no photo has a pose, so no lighting can be fitted")]
+    #[error(
+        "no photo has a pose, so no lighting can be fitted: give the poses (--cameras), or more photos"
+    )]
     NoView,
     /// Lighting was to come from a sphere, but none was located.
     #[error(
@@ -27,13 +29,15 @@ pub enum LightingError {
         why: Option<String>,
     },
     /// The sphere is known, but no photo shows enough of it.
-    #[error("no photo shows enough of the sphere: {}", reasons.join("; "))]
+    #[error("no photo shows enough of the sphere: {}; mark it anew (--sphere FILE.json), or do without (--sphere none)", reasons.join("; "))]
     SphereUnusable {
         /// One reason per photo.
         reasons: Vec<String>,
     },
     /// A fit failed.
-    #[error("lighting of {of}: {source}")]
+    #[error(
+        "lighting of {of}: {source}; give the light (--lighting), or do without its source (--sphere none)"
+    )]
     Fit {
         /// Of what.
         of: String,
@@ -41,7 +45,9 @@ pub enum LightingError {
         source: FitError,
     },
     /// A calibration sphere could not be located.
-    #[error("calibration sphere of {of}: {source}")]
+    #[error(
+        "calibration sphere of {of}: {source}; mark it anew (--sphere FILE.json), or do without (--sphere none)"
+    )]
     Sphere {
         /// The photo.
         of: String,
@@ -49,7 +55,9 @@ pub enum LightingError {
         source: SphereError,
     },
     /// A calibration photo names a photo that has no pose.
-    #[error("calibration photo {name} is taken from the camera of {camera}, which has no pose")]
+    #[error(
+        "calibration photo {name} is taken from the camera of {camera}, which has no pose: name another photo in the sphere's file (--sphere FILE.json)"
+    )]
     CalibrationCamera {
         /// The calibration photo.
         name: String,
@@ -57,7 +65,10 @@ pub enum LightingError {
         camera: String,
     },
     /// The file has no lighting for some views.
-    #[error("the lighting given has no entry for {}", first_and_more(views.iter().map(String::as_str)).unwrap_or_default())]
+    #[error(
+        "the lighting given has no entry for {}: add it, or have the light found (no --lighting)",
+        first_and_more(views.iter().map(String::as_str)).unwrap_or_default()
+    )]
     GivenMissing {
         /// Their names.
         views: Vec<String>,
@@ -87,12 +98,15 @@ pub enum LightingError {
         photo_height: usize,
     },
     /// No shape for any view.
-    #[error("no shape was given for any posed photo")]
+    #[error(
+        "no shape was given for any posed photo: name its maps as the photos (--lighting-shape)"
+    )]
     NoShape,
     /// Too few depth anchors for a light without a sphere.
     #[error(
         "without a sphere or a shape the light is estimated on depth anchors, of which there are \
-         {available} (at least {needed} needed): take more photos with texture, or use a sphere"
+         {available} (at least {needed} needed): take more photos with texture, or use a sphere \
+         (--sphere), or give the light (--lighting)"
     )]
     TooFewAnchors {
         /// What there is.
@@ -112,4 +126,47 @@ pub enum LightingError {
 pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), LightingError> {
     let flow = observer.warn(StageId::Lighting, message);
     flow.ok_or(LightingError::Interrupted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_message_names_an_option_that_helps() {
+        let name = || "a.jpg".to_owned();
+        let cases = [
+            (LightingError::NoView, "--cameras"),
+            (
+                LightingError::SphereUnusable {
+                    reasons: vec![name()],
+                },
+                "--sphere none",
+            ),
+            (
+                LightingError::CalibrationCamera {
+                    name: name(),
+                    camera: name(),
+                },
+                "--sphere FILE.json",
+            ),
+            (
+                LightingError::GivenMissing {
+                    views: vec![name()],
+                },
+                "--lighting",
+            ),
+            (LightingError::NoShape, "--lighting-shape"),
+            (
+                LightingError::TooFewAnchors {
+                    available: 3,
+                    needed: 50,
+                },
+                "--lighting",
+            ),
+        ];
+        for (error, option) in cases {
+            assert!(error.to_string().contains(option), "{error}");
+        }
+    }
 }

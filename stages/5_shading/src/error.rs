@@ -82,7 +82,8 @@ pub enum ShadingError {
     },
     /// The lighting does not depend on the normal, so that intensities say nothing on shape.
     #[error(
-        "view {view}: the lighting is {reason}, so the image says nothing about shape; check the lighting file"
+        "view {view}: the lighting is {reason}, so the image says nothing about shape; check the lighting file \
+         (--lighting), or have it found (no --lighting)"
     )]
     UninformativeLighting {
         /// The view's name.
@@ -131,14 +132,15 @@ pub enum ShadingError {
         missing: String,
     },
     /// A posed view has no lighting.
-    #[error("view {view} has no lighting")]
+    #[error("view {view} has no lighting: give it in --lighting, or have it found (no --lighting)")]
     MissingLighting {
         /// The view's name.
         view: String,
     },
     /// Neither anchors, nor a start, nor a pose fixes the depth of the object.
     #[error(
-        "view {view}: nothing fixes its depth; give an initial depth, a prior, anchors or matches"
+        "view {view}: nothing fixes its depth; give an initial depth (--init), a prior (--prior), anchors or \
+         matches"
     )]
     NoDepth {
         /// The view's name.

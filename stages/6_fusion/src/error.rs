@@ -47,8 +47,8 @@ pub enum FusionError {
     /// No point passed the checks.
     #[error(
         "no surface point is confirmed by {min_num_views} views ({num_candidates} candidates): the \
-         views do not overlap or lie more than {tolerance_px} pixels apart; check the poses, or \
-         lower min_num_views"
+         views do not overlap or lie more than {tolerance_px} pixels apart; check the poses (--cameras), or \
+         lower fusion.min_num_views"
     )]
     NothingAgrees {
         /// Points that were tried.

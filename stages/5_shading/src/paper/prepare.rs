@@ -196,7 +196,7 @@ pub(crate) fn empty_mask(view: &ShadingView) -> ShadingError {
     ShadingError::EmptyMask {
         view: view.name.clone(),
         num_masked: 0,
-        advice: "check the mask: white is the object",
+        advice: "check the mask (--masks): white is the object",
     }
 }
 

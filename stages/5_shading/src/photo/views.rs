@@ -269,7 +269,7 @@ fn load_view(
         return Err(ShadingError::EmptyMask {
             view: posed_view.name.clone(),
             num_masked: 0,
-            advice: "give a mask that covers the object, or leave the photo out",
+            advice: "give a mask that covers the object (--masks), or leave the photo out",
         });
     }
     drop((mask, straight, image));
