@@ -62,6 +62,10 @@ impl Plane {
 const RADIUS_PX: i32 = 4;
 /// `γ` of the module's text.
 const CONTRAST: f32 = 0.15;
+/// Contrast that is noise: standard deviation over the mean of a patch.
+const NOISE: f32 = 0.003;
+/// Share of a view's mean brightness below which all is equally dark.
+const DARKEST: f32 = 0.003;
 /// Samples below this weight are left out; the centre has 1.
 const MIN_WEIGHT: f32 = 0.01;
 
@@ -163,8 +167,6 @@ pub(crate) struct Matcher<'a> {
     cost: PatchCost,
     /// Sources that count: the best ones.
     num_best: usize,
-    /// Variance below which a patch counts as flat.
-    noise_variance: f32,
 }
 
 impl<'a> Matcher<'a> {
@@ -194,18 +196,16 @@ impl<'a> Matcher<'a> {
             .map(|i| f64::from(*grey.at(pixels.xs[i] as usize, pixels.ys[i] as usize)))
             .sum::<f64>()
             / n.max(1) as f64;
-        // Contrast of a third of a per cent is noise.
-        let noise = 0.003 * mean;
+        let darkest = DARKEST * mean as f32;
         Self {
             view,
             sources,
             gaussian,
             log_grey: Raster::from_fn(grey.width, grey.height, |x, y| {
-                grey.at(x, y).max(noise as f32).ln()
+                grey.at(x, y).max(darkest).ln()
             }),
             cost,
             num_best,
-            noise_variance: noise.powi(2) as f32,
         }
     }
 
@@ -291,8 +291,8 @@ impl<'a> Matcher<'a> {
                 2.0 * ssd / (1.0 + ssd) + out
             }
             PatchCost::Correlation => {
-                let v1 = (s11 / sw - m1 * m1).max(0.0) + self.noise_variance;
-                let v2 = (s22 / sw - m2 * m2).max(0.0) + self.noise_variance;
+                let v1 = (s11 / sw - m1 * m1).max(0.0) + (NOISE * m1).powi(2);
+                let v2 = (s22 / sw - m2 * m2).max(0.0) + (NOISE * m2).powi(2);
                 let correlation = (s12 / sw - m1 * m2) / (v1 * v2).sqrt();
                 (1.0 - correlation).min(1.0) + out
             }
