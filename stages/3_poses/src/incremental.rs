@@ -272,6 +272,8 @@ pub(crate) fn go_on(
         model.triangulate_all(matched, &limits);
         reconstruction.adjustments.push(adjust_all(model, matched)?);
     }
+    // They failed with the cameras before.
+    reconstruction.failed.clear();
     let mut available = vec![true; matched.num_photos()];
     for &photo in &reconstruction.contradicting {
         available[photo] = reconstruction.model.poses[photo].is_some();

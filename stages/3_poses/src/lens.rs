@@ -34,7 +34,7 @@ const MIN_FOCAL_CHANGE: f64 = 0.03;
 const MIN_COST_DROP: f64 = 0.03;
 /// Least drop of the squared residuals over their variance. One parameter lowers it by 1 on average
 /// when observations are independent; neighbouring ones are not, so ask for five deviations.
-const MIN_CHI_SQUARE_DROP: f64 = 25.0;
+pub(crate) const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
 /// leave some, and finds focal lengths that the photos contradict.
@@ -103,12 +103,18 @@ fn largest_shift_px(matched: &MatchedPhotos<'_>, bent: &Model) -> f64 {
 
 /// Share by which the cost falls, where it clearly does.
 pub(crate) fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64> {
+    let cost = before.solve.final_cost;
+    let drop = (cost - after.solve.final_cost) / cost.max(f64::MIN_POSITIVE);
+    let is_clear = drop >= MIN_COST_DROP && chi_square_drop(before, after) >= MIN_CHI_SQUARE_DROP;
+    is_clear.then_some(drop)
+}
+
+/// By how much the squared residuals over their variance fall.
+pub(crate) fn chi_square_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> f64 {
     let (cost, cost_after) = (before.solve.final_cost, after.solve.final_cost);
     let parameters = 3 * before.num_points + 6 * before.num_views;
     let degrees = (2 * before.num_observations).saturating_sub(parameters);
-    let drop = (cost - cost_after) / cost.max(f64::MIN_POSITIVE);
-    let chi_square_drop = (cost - cost_after) / (cost_after / degrees.max(1) as f64);
-    (drop >= MIN_COST_DROP && chi_square_drop >= MIN_CHI_SQUARE_DROP).then_some(drop)
+    (cost - cost_after) / (cost_after / degrees.max(1) as f64)
 }
 
 /// The focal length, where a model that was free to choose it has another one.

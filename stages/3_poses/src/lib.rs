@@ -263,11 +263,30 @@ fn with_own_centers(
     observer: &dyn Observer,
 ) -> Result<Found, PosesError> {
     // The model stands without what this looks for.
-    let own = own_center::find(matched, &found.0.model, options).unwrap_or_default();
-    if let Some(mut own) = own {
-        own.swap(matched);
-        found.0.model = own.model;
-        incremental::go_on(matched, &mut found.0, options, observer)?;
+    let own = match own_center::find(matched, &found.0.model, options, observer) {
+        Err(PosesError::Interrupted) => return Err(PosesError::Interrupted),
+        own => own.unwrap_or_default(),
+    };
+    let Some(mut own) = own else {
+        return Ok(found);
+    };
+    own.swap(matched);
+    let before = std::mem::replace(&mut found.0.model, own.model.clone());
+    let num_adjustments = found.0.adjustments.len();
+    match incremental::go_on(matched, &mut found.0, options, observer) {
+        Ok(()) => {
+            let poses = &found.0.model.poses;
+            for photos in &mut found.1 {
+                photos.retain(|&photo| poses[photo].is_none());
+            }
+            found.1.retain(|photos| !photos.is_empty());
+        }
+        Err(PosesError::Interrupted) => return Err(PosesError::Interrupted),
+        Err(_) => {
+            own.swap(matched);
+            found.0.model = before;
+            found.0.adjustments.truncate(num_adjustments);
+        }
     }
     Ok(found)
 }
@@ -286,7 +305,7 @@ fn contradicted_exif(matched: &MatchedPhotos<'_>, reconstruction: &Reconstructio
     (0..matched.cameras.len())
         .filter_map(|k| {
             let photo = (0..matched.num_photos())
-                .find(|&p| matched.camera_of[p] == k && model.poses[p].is_some())?;
+                .find(|&p| matched.lens_of(p) == k && model.poses[p].is_some())?;
             let photo = &matched.photos.photos[photo];
             let deviation = model.cameras[k].deviation[FOCAL];
             let from_exif = !matched.cameras[k].is_own

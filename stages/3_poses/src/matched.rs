@@ -127,6 +127,12 @@ impl<'a> MatchedPhotos<'a> {
         tracks
     }
 
+    /// The camera whose lens a photo was taken with.
+    pub fn lens_of(&self, photo: usize) -> usize {
+        let camera = self.camera_of[photo];
+        self.cameras[camera].lens_of.unwrap_or(camera)
+    }
+
     pub fn num_photos(&self) -> usize {
         self.photos.photos.len()
     }

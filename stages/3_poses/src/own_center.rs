@@ -8,14 +8,14 @@
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
 use crate::incremental::{MIN_NUM_VIEWS_FOR_INTRINSICS, intrinsics_scope, limits};
-use crate::lens::clear_drop;
+use crate::lens::{MIN_CHI_SQUARE_DROP, chi_square_drop, clear_drop};
 use crate::matched::{CameraPrior, MatchedPhotos};
-use crate::model::{AdjustmentScope, Model};
+use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, PRINCIPAL_POINT};
 use crate::report::AdjustmentReport;
-use rilievo_scene::{Intrinsics, first_and_more};
-use std::collections::BTreeMap;
+use rilievo_scene::{Intrinsics, Observer, StageId, first_and_more};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Standard deviation of the principal point of a cropped photo, as a share of its longer side.
 pub(crate) const CROP_OFFSET: f64 = 0.05;
@@ -26,6 +26,8 @@ const MIN_OFFSET: f64 = 0.02;
 /// half as much.
 const SAME_CROP: f64 = 0.02;
 
+/// Share of what a point a photo explains that fewer points must explain, too.
+const EXPLAINED: f64 = 0.9;
 /// Times that points are found anew with free principal points.
 const NUM_ROUNDS: usize = 2;
 
@@ -78,14 +80,22 @@ struct Crops {
     crop_of: Vec<Option<usize>>,
 }
 
+impl Crops {
+    fn num_parameters(&self) -> usize {
+        let crops: BTreeSet<usize> = self.crop_of.iter().flatten().copied().collect();
+        crops.len() * self.axes.iter().filter(|&&is_free| is_free).count()
+    }
+}
+
 /// Principal points that explain the photos clearly better than their middles; `None` where none do.
 ///
 /// # Errors
-/// When an adjustment breaks down.
+/// When an adjustment breaks down or the observer asked to stop.
 pub(crate) fn find(
     matched: &mut MatchedPhotos<'_>,
     model: &Model,
     options: &PosesOptions,
+    observer: &dyn Observer,
 ) -> Result<Option<OwnCenters>, PosesError> {
     let is_free = |&camera: &usize| matched.cameras[camera].prior_sigma[FOCAL].is_some();
     if options.refine_intrinsics != RefineIntrinsics::Auto
@@ -94,52 +104,81 @@ pub(crate) fn find(
     {
         return Ok(None);
     }
-    let plain = adjust(matched, &mut model.clone())?;
+    let proceed = || {
+        let num_views = model.num_views();
+        let flow = observer.progress(StageId::Poses, "registering photos", (num_views, num_views));
+        flow.ok_or(PosesError::Interrupted)
+    };
+    proceed()?;
+    // A lens that bends is no crop: the middles may have all distortion that explains the photos.
+    let in_the_middle = |matched: &MatchedPhotos<'_>, model: &Model| {
+        let scope = AdjustmentScope::all("principal points in the middle", IntrinsicsScope::All);
+        model
+            .clone()
+            .adjust(matched, &scope, &BundleOptions::complete(1e-6))
+    };
+    let plain = in_the_middle(matched, model)?;
+    let is_posed: Vec<bool> = model.poses.iter().map(Option::is_some).collect();
     let each = Crops {
         axes: [true; 2],
         crop_of: (0..matched.num_photos()).map(Some).collect(),
     };
-    let in_the_middle = vec![[0.0; 2]; matched.num_photos()];
-    let (mut most, mut best) = tried(matched, model, &each, &in_the_middle)?;
-    if clear_drop(&plain, &most).is_none() {
+    let start = vec![[0.0; 2]; matched.num_photos()];
+    let (mut most, mut own) = tried(matched, model, &each, &start)?;
+    if !is_clear(&plain, &most, 2 * model.num_views()) {
         return Ok(None);
     }
     // Matches that contradicted the turned cameras tell the offsets, too.
     let limits = limits(options);
     for _ in 0..NUM_ROUNDS {
-        most = best.with(matched, |matched, model| {
+        proceed()?;
+        most = own.with(matched, |matched, model| {
             model.triangulate_all(matched, &limits);
             adjust(matched, model)
         })?;
     }
-    let mut base = best.model.clone();
+    let mut base = own.model.clone();
     base.cameras.truncate(matched.cameras.len());
-    // The fewest parameters that explain the photos as well.
-    let (cameras, offsets) = (matched.camera_of.clone(), best.offsets());
+    let plain = in_the_middle(matched, &base)?;
+    // The fewest parameters that explain as much of the photos.
+    let (cameras, offsets) = (matched.camera_of.clone(), own.offsets());
     let shared = |axes| Crops {
         axes,
         crop_of: cameras.iter().copied().map(Some).collect(),
     };
-    let alike = |axes| same_crops(&cameras, &offsets, axes);
+    let alike = |axes| same_crops(&cameras, &offsets, &is_posed, axes);
     let sides = [[true, false], [false, true], [true, true]];
     for crops in sides.map(shared).into_iter().chain(sides.map(alike)) {
+        proceed()?;
         let (cost, fewer) = tried(matched, &base, &crops, &offsets)?;
-        if clear_drop(&cost, &most).is_none() {
-            best = fewer;
-            break;
+        let [all, these] =
+            [&most, &cost].map(|after| plain.solve.final_cost - after.solve.final_cost);
+        if these >= EXPLAINED * all && is_clear(&plain, &cost, crops.num_parameters()) {
+            let is_far = |[x, y]: &[f64; 2]| x.hypot(*y) >= MIN_OFFSET;
+            return Ok(fewer.offsets().iter().any(is_far).then_some(fewer));
         }
     }
-    let is_far = |[x, y]: &[f64; 2]| x.hypot(*y) >= MIN_OFFSET;
-    Ok(best.offsets().iter().any(is_far).then_some(best))
+    Ok(None)
+}
+
+/// Whether so many more parameters explain the photos clearly better.
+fn is_clear(before: &AdjustmentReport, after: &AdjustmentReport, num_added: usize) -> bool {
+    let least = num_added as f64 * MIN_CHI_SQUARE_DROP;
+    clear_drop(before, after).is_some() && chi_square_drop(before, after) >= least
 }
 
 /// Photos of one camera whose offsets are equal along the sides; those in the middle share it.
-fn same_crops(cameras: &[usize], offsets: &[[f64; 2]], axes: [bool; 2]) -> Crops {
+fn same_crops(
+    cameras: &[usize],
+    offsets: &[[f64; 2]],
+    is_posed: &[bool],
+    axes: [bool; 2],
+) -> Crops {
     let along = |offset: &[f64; 2]| [0, 1].map(|k| if axes[k] { offset[k] } else { 0.0 });
     let mut crop_of = vec![None; cameras.len()];
     for photo in 0..cameras.len() {
         let [x, y] = along(&offsets[photo]);
-        if x.hypot(y) < MIN_OFFSET {
+        if !is_posed[photo] || x.hypot(y) < MIN_OFFSET {
             continue;
         }
         let is_same = |&first: &usize| {
@@ -149,6 +188,13 @@ fn same_crops(cameras: &[usize], offsets: &[[f64; 2]], axes: [bool; 2]) -> Crops
                 && (x - u).hypot(y - v) < SAME_CROP
         };
         crop_of[photo] = (0..photo).find(is_same).or(Some(photo));
+    }
+    // Nothing is known of the others: as the rest of their camera's photos, where these are alike.
+    for photo in (0..cameras.len()).filter(|&photo| !is_posed[photo]) {
+        let mut rest = (0..cameras.len()).filter(|&p| is_posed[p] && cameras[p] == cameras[photo]);
+        let first = rest.next().and_then(|p| crop_of[p]);
+        let is_alike = rest.all(|p| crop_of[p] == first);
+        crop_of[photo] = if is_alike { first } else { Some(photo) };
     }
     Crops { axes, crop_of }
 }
@@ -178,10 +224,21 @@ fn tried(
         let mut camera = model.cameras[lens].clone();
         prior.lens_of = Some(lens);
         prior.is_cropped = true;
-        for k in (0..2).filter(|&k| crops.axes[k]) {
-            let mean = photos.iter().map(|&p| offsets[p][k]).sum::<f64>() / photos.len() as f64;
+        let posed: Vec<usize> = photos
+            .iter()
+            .copied()
+            .filter(|&p| model.poses[p].is_some())
+            .collect();
+        for k in 0..2 {
+            let sum: f64 = posed.iter().map(|&p| offsets[p][k]).sum();
+            let mean = if crops.axes[k] {
+                sum / posed.len().max(1) as f64
+            } else {
+                0.0
+            };
             camera.deviation[PRINCIPAL_POINT][k] = mean * longer(&prior.initial);
-            prior.prior_sigma[PRINCIPAL_POINT][k] = Some(CROP_OFFSET * longer(&prior.initial));
+            let sigma = CROP_OFFSET * longer(&prior.initial);
+            prior.prior_sigma[PRINCIPAL_POINT][k] = crops.axes[k].then_some(sigma);
         }
         for &photo in photos {
             own.camera_of[photo] = own.cameras.len();
@@ -208,16 +265,16 @@ pub(crate) fn warning(matched: &MatchedPhotos<'_>, model: &Model) -> Option<Stri
         let middle = [(width - 1.0) / 2.0, (height - 1.0) / 2.0];
         (camera.cx - middle[0]).hypot(camera.cy - middle[1]) / longer(&camera)
     };
-    let cropped: Vec<usize> = posed
-        .filter(|&p| matched.cameras[matched.camera_of[p]].is_cropped)
-        .collect();
+    let is_cropped =
+        |&p: &usize| matched.cameras[matched.camera_of[p]].is_cropped && offset(p) >= MIN_OFFSET;
+    let cropped: Vec<usize> = posed.filter(is_cropped).collect();
     let largest = cropped.iter().map(|&p| offset(p)).fold(0.0, f64::max);
     let names = cropped
         .iter()
         .map(|&p| matched.photos.photos[p].file_name.as_str());
     Some(format!(
-        "{}: the matches say that the optical axis meets the photo up to {:.0} % of its longer side beside the middle: \
-         cropped or straightened; the matches were believed",
+        "{}: the matches say that the optical axis meets the photo up to {:.0} % of its longer side beside the middle, \
+         as where they were cropped or straightened; the matches were believed",
         first_and_more(names)?,
         100.0 * largest,
     ))

@@ -86,7 +86,9 @@ pub(crate) fn assemble(
     };
     let name = |p: usize| matched.photos.photos[p].file_name.clone();
     let refined = matched.cameras.iter().zip(&cameras);
-    let refined = refined.filter(|(before, after)| !before.is_own && before.initial.fx != after.fx);
+    let refined = refined.filter(|(before, after)| {
+        !before.is_own && before.lens_of.is_none() && before.initial.fx != after.fx
+    });
     let report = PosesReport {
         initial_pair: reconstruction.initial_pair.map(|(a, b)| (name(a), name(b))),
         views: views.collect(),

@@ -129,6 +129,7 @@ pub fn run(
         flow.ok_or(FusionError::Interrupted)
     };
     let (loaded, mut views) = views::prepare(photos, posed, maps, scratch, options, next)?;
+    let asked_spacing = options.spacing;
     let is_coarser = !options.full && maps.resolved_px() >= MIN_RESOLVED_PX;
     let options = &FusionOptions {
         spacing: match options.spacing {
@@ -149,7 +150,7 @@ pub fn run(
         (scratch, cloud),
         observer,
     )?;
-    if let Some(message) = coarse(&facts, posed.scale.unit, options) {
+    if let Some(message) = coarse(&facts, posed.scale.unit, asked_spacing) {
         warn(observer, message)?;
     }
     let (mesh, mesh_report) = if options.mesh {
@@ -263,15 +264,14 @@ fn shape(
 const COARSE_SPACING_SHARE: f64 = 0.1;
 
 /// The warning of a spacing that leaves next to nothing of the surface.
-fn coarse(facts: &CloudFacts, unit: Unit, options: &FusionOptions) -> Option<String> {
+fn coarse(facts: &CloudFacts, unit: Unit, spacing: f64) -> Option<String> {
     let sides = [0, 1, 2].map(|k| (f64::from(facts.high[k]) - f64::from(facts.low[k])).max(0.0));
     let extent = sides[0].hypot(sides[1]).hypot(sides[2]);
     let words = unit.words();
-    (options.spacing > COARSE_SPACING_SHARE * extent).then(|| {
+    (spacing > COARSE_SPACING_SHARE * extent).then(|| {
         format!(
-            "a spacing of {} {words} leaves {} points of a cloud that is {extent:.3} {words} across: it \
+            "a spacing of {spacing} {words} leaves {} points of a cloud that is {extent:.3} {words} across: it \
              is stated in {}",
-            options.spacing,
             facts.num_points,
             if unit == Unit::Metre {
                 "metres"

@@ -1,10 +1,10 @@
 //! Columns of the reduced system, and which of its entries are not zero.
 //!
-//! Columns come in blocks, one for each view, for each camera's lens and for its principal point where they are free. Two blocks meet
-//! in the Schur complement where both bear on one point, so that a view meets the views that it shares
-//! points with, and a refined camera all of its own. The lower triangle is kept by columns: below the
-//! diagonal block follow the blocks that meet it, ascending, so that all columns of a block have the
-//! same rows but for those above their diagonal.
+//! Columns come in blocks, one for each view, for each camera's lens and for its principal point, where
+//! they are free. Two blocks meet in the Schur complement where both bear on one point, so that a view
+//! meets the views that it shares points with, and a refined camera all of its own. The lower triangle
+//! is kept by columns: below the diagonal block follow the blocks that meet it, ascending, so that all
+//! columns of a block have the same rows but for those above their diagonal.
 
 use super::bundle::Bundle;
 use crate::projection::{NUM_INTRINSICS, PRINCIPAL_POINT};

@@ -258,6 +258,32 @@ fn photos_cropped_beside_the_middle_keep_their_optical_axis() {
 }
 
 #[test]
+fn neither_a_lens_that_bends_nor_few_matches_make_a_crop() {
+    for (num_views, span_deg, num_points, k1) in [
+        (3, 45.0, 400, -0.1),
+        (3, 45.0, 400, 0.15),
+        (6, 90.0, 400, -0.1),
+        (16, 120.0, 60, 0.0),
+        (5, 12.0, 200, 0.0),
+    ] {
+        let mut set = world(&WorldOptions {
+            num_views,
+            span_deg,
+            num_points,
+            noise_px: 0.4,
+            ..WorldOptions::default()
+        });
+        for photo in &mut set.photos.photos {
+            photo.focal_source = FocalSource::Exif35mm;
+        }
+        distort(&mut set, k1);
+        let (_, _, warnings) = solve_and_tell(&set, &options());
+        let is_told = warnings.iter().any(|w| w.contains("optical axis"));
+        assert!(!is_told, "{num_views}, {num_points}, {k1}: {warnings:?}");
+    }
+}
+
+#[test]
 fn few_narrow_views_keep_to_the_focal_length_of_exif() {
     // Three photos over ten degrees hardly tell the focal length: EXIF, two per cent off, does.
     let mut set = world(&WorldOptions {
