@@ -64,8 +64,8 @@ const RADIUS_PX: i32 = 4;
 const CONTRAST: f32 = 0.15;
 /// Contrast that is noise: standard deviation over the mean of a patch.
 const NOISE: f32 = 0.003;
-/// Share of a view's mean brightness below which noise is that of a place as bright.
-const DARK: f32 = 0.02;
+/// Share of a view's mean brightness below which all is equally dark.
+const DARKEST: f32 = 0.003;
 /// Samples below this weight are left out; the centre has 1.
 const MIN_WEIGHT: f32 = 0.01;
 
@@ -167,8 +167,6 @@ pub(crate) struct Matcher<'a> {
     cost: PatchCost,
     /// Sources that count: the best ones.
     num_best: usize,
-    /// Brightness below which noise grows no less.
-    dark: f32,
 }
 
 impl<'a> Matcher<'a> {
@@ -198,17 +196,16 @@ impl<'a> Matcher<'a> {
             .map(|i| f64::from(*grey.at(pixels.xs[i] as usize, pixels.ys[i] as usize)))
             .sum::<f64>()
             / n.max(1) as f64;
-        let dark = DARK * mean as f32;
+        let darkest = DARKEST * mean as f32;
         Self {
             view,
             sources,
             gaussian,
             log_grey: Raster::from_fn(grey.width, grey.height, |x, y| {
-                grey.at(x, y).max(NOISE * mean as f32).ln()
+                grey.at(x, y).max(darkest).ln()
             }),
             cost,
             num_best,
-            dark,
         }
     }
 
@@ -294,12 +291,15 @@ impl<'a> Matcher<'a> {
                 2.0 * ssd / (1.0 + ssd) + out
             }
             PatchCost::Correlation => {
-                let noise = |mean: f32| (NOISE * mean.max(self.dark)).powi(2);
-                let v1 = (s11 / sw - m1 * m1).max(0.0) + noise(m1);
-                let v2 = (s22 / sw - m2 * m2).max(0.0) + noise(m2);
-                let correlation = (s12 / sw - m1 * m2) / (v1.sqrt() * v2.sqrt());
-                // Not a number where all is black.
-                (1.0 - correlation).clamp(0.0, 1.0).min(1.0) + out
+                let v1 = (s11 / sw - m1 * m1).max(0.0) + (NOISE * m1).powi(2);
+                let v2 = (s22 / sw - m2 * m2).max(0.0) + (NOISE * m2).powi(2);
+                let spread = (v1 * v2).sqrt();
+                if spread == 0.0 {
+                    // All black: nothing to compare.
+                    return 1.0 + out;
+                }
+                let correlation = (s12 / sw - m1 * m2) / spread;
+                (1.0 - correlation).min(1.0) + out
             }
         }
     }
