@@ -229,16 +229,16 @@ fn tried(
             .copied()
             .filter(|&p| model.poses[p].is_some())
             .collect();
-        for k in 0..2 {
+        let sigma = CROP_OFFSET * longer(&prior.initial);
+        for (k, is_free) in crops.axes.into_iter().enumerate() {
             let sum: f64 = posed.iter().map(|&p| offsets[p][k]).sum();
-            let mean = if crops.axes[k] {
+            let mean = if is_free {
                 sum / posed.len().max(1) as f64
             } else {
                 0.0
             };
             camera.deviation[PRINCIPAL_POINT][k] = mean * longer(&prior.initial);
-            let sigma = CROP_OFFSET * longer(&prior.initial);
-            prior.prior_sigma[PRINCIPAL_POINT][k] = crops.axes[k].then_some(sigma);
+            prior.prior_sigma[PRINCIPAL_POINT][k] = is_free.then_some(sigma);
         }
         for &photo in photos {
             own.camera_of[photo] = own.cameras.len();

@@ -52,10 +52,10 @@ impl Layout {
             let mut columns = [None; NUM_INTRINSICS];
             for of_lens in [true, false] {
                 let mut last = None;
-                for k in 0..NUM_INTRINSICS {
+                for (k, column) in columns.iter_mut().enumerate() {
                     if of_lens != PRINCIPAL_POINT.contains(&k) {
-                        columns[k] = number(is_own(k) && camera.prior_sigma[k].is_some());
-                        last = columns[k].or(last);
+                        *column = number(is_own(k) && camera.prior_sigma[k].is_some());
+                        last = column.or(last);
                     }
                 }
                 end_block(last);
