@@ -241,7 +241,7 @@ fn given_camera(
         });
     }
     if let Some(focal_px) = intrinsics.implausible_focal_px() {
-        let side = intrinsics.width.max(intrinsics.height) as f64;
+        let side = intrinsics.longer_side();
         return Err(PhotosError::CameraFocal {
             photo: decoded.file_name.clone(),
             focal_px,

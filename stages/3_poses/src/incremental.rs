@@ -266,12 +266,8 @@ pub(crate) fn go_on(
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<(), PosesError> {
-    let limits = limits(options);
-    for _ in 0..2 {
-        let model = &mut reconstruction.model;
-        model.triangulate_all(matched, &limits);
-        reconstruction.adjustments.push(adjust_all(model, matched)?);
-    }
+    let settled = settle(&mut reconstruction.model, matched, options)?;
+    reconstruction.adjustments.extend(settled);
     // They failed with the cameras before.
     reconstruction.failed.clear();
     let mut available = vec![true; matched.num_photos()];
@@ -374,6 +370,19 @@ pub(crate) fn try_full_intrinsics(
         *model = full;
         after
     }))
+}
+
+/// Points anew and an adjustment of the whole model, twice: each follows the other.
+pub(crate) fn settle(
+    model: &mut Model,
+    matched: &MatchedPhotos<'_>,
+    options: &PosesOptions,
+) -> Result<[AdjustmentReport; 2], PosesError> {
+    let mut once = || {
+        model.triangulate_all(matched, &limits(options));
+        adjust_all(model, matched)
+    };
+    Ok([once()?, once()?])
 }
 
 /// Robust adjustment of the whole model.

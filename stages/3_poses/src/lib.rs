@@ -271,7 +271,7 @@ fn with_own_centers(
         return Ok(found);
     };
     own.swap(matched);
-    let before = std::mem::replace(&mut found.0.model, own.model.clone());
+    std::mem::swap(&mut found.0.model, &mut own.model);
     let num_adjustments = found.0.adjustments.len();
     match incremental::go_on(matched, &mut found.0, options, observer) {
         Ok(()) => {
@@ -284,7 +284,7 @@ fn with_own_centers(
         Err(PosesError::Interrupted) => return Err(PosesError::Interrupted),
         Err(_) => {
             own.swap(matched);
-            found.0.model = before;
+            found.0.model = own.model;
             found.0.adjustments.truncate(num_adjustments);
         }
     }

@@ -167,7 +167,7 @@ fn prior_sigma(
         }
         RefineIntrinsics::Focal => sigma[FOCAL] = Some(focal_sigma),
         RefineIntrinsics::All => {
-            let longer = camera.width.max(camera.height) as f64;
+            let longer = camera.longer_side();
             sigma[FOCAL] = Some(focal_sigma);
             sigma[PRINCIPAL_POINT].fill(Some(PRINCIPAL_POINT_SIGMA * longer));
             sigma[K1..].copy_from_slice(&DISTORTION_SIGMA.map(Some));

@@ -120,7 +120,6 @@ impl Model {
                 .iter()
                 .map(|c| {
                     let mut camera = AdjustedCamera::fixed(c.initial);
-                    camera.lens_of = c.lens_of;
                     camera.deviation[FOCAL] = c.start_ln_focal;
                     camera
                 })

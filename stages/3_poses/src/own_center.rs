@@ -2,10 +2,11 @@
 //!
 //! A crop beside the middle looks like a turn of the camera. What the turn leaves over bends focal length, poses and shape,
 //! so that every figure looks well and the size is per cents off. Where no camera file says better, the principal points
-//! are tried free in an adjustment of the whole model: one of each camera, then one of each photo, with the lens shared as
-//! before. They are taken where the cost falls clearly and a point lies farther from the middle than a lens puts it.
+//! are tried free in an adjustment of the whole model, one of each photo, with the lens shared as before. Where the cost falls
+//! clearly, the fewest parameters that explain nearly as much are taken (along one side, of a camera, of photos with like
+//! offsets), unless all points lie as near the middle as a lens puts them.
 
-use crate::adjustment::BundleOptions;
+use crate::adjustment::{AdjustedCamera, BundleOptions};
 use crate::error::PosesError;
 use crate::incremental::{MIN_NUM_VIEWS_FOR_INTRINSICS, intrinsics_scope, limits};
 use crate::lens::{MIN_CHI_SQUARE_DROP, chi_square_drop, clear_drop};
@@ -14,14 +15,13 @@ use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, PRINCIPAL_POINT};
 use crate::report::AdjustmentReport;
-use rilievo_scene::{Intrinsics, Observer, StageId, first_and_more};
+use rilievo_scene::{Observer, StageId, first_and_more};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Standard deviation of the principal point of a cropped photo, as a share of its longer side.
 pub(crate) const CROP_OFFSET: f64 = 0.05;
 /// Least offset that counts as a crop, as a share of the longer side: lenses stay below.
 const MIN_OFFSET: f64 = 0.02;
-
 /// Largest difference between offsets of one crop, as a share of the longer side: those found photo by photo scatter by
 /// half as much.
 const SAME_CROP: f64 = 0.02;
@@ -38,15 +38,19 @@ pub(crate) struct OwnCenters {
     pub model: Model,
 }
 
+impl AdjustedCamera {
+    /// Offset of the principal point from the middle, as a share of the longer side.
+    fn offset(&self) -> [f64; 2] {
+        let longer = self.initial.longer_side();
+        [0, 1].map(|k| self.deviation[PRINCIPAL_POINT][k] / longer)
+    }
+}
+
 impl OwnCenters {
     /// Offset of each photo's principal point from the middle, as a share of the longer side.
     fn offsets(&self) -> Vec<[f64; 2]> {
-        let offset = |&camera: &usize| {
-            let camera = &self.model.cameras[camera];
-            let [x, y] = [0, 1].map(|k| camera.deviation[PRINCIPAL_POINT][k]);
-            [x, y].map(|offset| offset / longer(&camera.initial))
-        };
-        self.camera_of.iter().map(offset).collect()
+        let cameras = self.camera_of.iter().map(|&k| &self.model.cameras[k]);
+        cameras.map(AdjustedCamera::offset).collect()
     }
 
     /// Does something with the photos as if they had these cameras.
@@ -66,10 +70,6 @@ impl OwnCenters {
         std::mem::swap(&mut matched.cameras, &mut self.cameras);
         std::mem::swap(&mut matched.camera_of, &mut self.camera_of);
     }
-}
-
-fn longer(camera: &Intrinsics) -> f64 {
-    camera.width.max(camera.height) as f64
 }
 
 /// A guess at how photos were cropped.
@@ -229,7 +229,7 @@ fn tried(
             .copied()
             .filter(|&p| model.poses[p].is_some())
             .collect();
-        let sigma = CROP_OFFSET * longer(&prior.initial);
+        let sigma = CROP_OFFSET * prior.initial.longer_side();
         for (k, is_free) in crops.axes.into_iter().enumerate() {
             let sum: f64 = posed.iter().map(|&p| offsets[p][k]).sum();
             let mean = if is_free {
@@ -237,7 +237,7 @@ fn tried(
             } else {
                 0.0
             };
-            camera.deviation[PRINCIPAL_POINT][k] = mean * longer(&prior.initial);
+            camera.deviation[PRINCIPAL_POINT][k] = mean * prior.initial.longer_side();
             prior.prior_sigma[PRINCIPAL_POINT][k] = is_free.then_some(sigma);
         }
         for &photo in photos {
@@ -260,10 +260,8 @@ fn adjust(matched: &MatchedPhotos<'_>, model: &mut Model) -> Result<AdjustmentRe
 pub(crate) fn warning(matched: &MatchedPhotos<'_>, model: &Model) -> Option<String> {
     let posed = (0..matched.num_photos()).filter(|&p| model.poses[p].is_some());
     let offset = |photo: usize| {
-        let camera = model.cameras[matched.camera_of[photo]].current();
-        let (width, height) = (camera.width as f64, camera.height as f64);
-        let middle = [(width - 1.0) / 2.0, (height - 1.0) / 2.0];
-        (camera.cx - middle[0]).hypot(camera.cy - middle[1]) / longer(&camera)
+        let [x, y] = model.cameras[matched.camera_of[photo]].offset();
+        x.hypot(y)
     };
     let is_cropped =
         |&p: &usize| matched.cameras[matched.camera_of[p]].is_cropped && offset(p) >= MIN_OFFSET;

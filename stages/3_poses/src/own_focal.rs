@@ -5,7 +5,7 @@
 //! others determine; where far more of them agree, the photo is given a camera of its own, which later adjustments refine.
 
 use crate::error::PosesError;
-use crate::incremental::{adjust_all, limits};
+use crate::incremental::settle;
 use crate::matched::{CameraPrior, GUESS_FOCAL_SIGMA, MatchedPhotos};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
@@ -88,11 +88,7 @@ pub(crate) fn find(
     for &photo in &suspects {
         others.poses[photo] = None;
     }
-    let limits = limits(options);
-    for _ in 0..2 {
-        others.triangulate_all(matched, &limits);
-        adjust_all(&mut others, matched)?;
-    }
+    settle(&mut others, matched, options)?;
     let found = suspects.into_par_iter().filter_map(|photo| {
         let in_sight = PointsInSight::of(matched, &others, photo, options)?;
         // The first of equals: the order is fixed.
@@ -212,7 +208,7 @@ pub(crate) fn give_cameras(
         let mut prior_sigma = shared.prior_sigma;
         prior_sigma[FOCAL] = Some(GUESS_FOCAL_SIGMA);
         if zoom.len() == 1 && refine != RefineIntrinsics::Focal {
-            let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
+            let offset = CROP_OFFSET * initial.longer_side();
             prior_sigma[PRINCIPAL_POINT].fill(Some(offset));
         }
         let own = CameraPrior {

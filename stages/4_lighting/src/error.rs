@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_message_names_an_option_that_helps() {
+    fn messages_name_an_option_that_helps() {
         let name = || "a.jpg".to_owned();
         let cases = [
             (LightingError::NoView, "--cameras"),

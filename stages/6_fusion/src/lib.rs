@@ -92,7 +92,7 @@ pub struct Fused {
     pub report: FusionReport,
 }
 
-/// Pixels of the smallest relief from which the cloud is thinned to it: below, it would lose a few points alone.
+/// Pixels of the smallest relief from which the cloud is thinned to it: finer relief saves few points.
 const MIN_RESOLVED_PX: f64 = 2.0;
 
 /// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error

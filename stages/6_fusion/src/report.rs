@@ -122,7 +122,6 @@ pub struct FusionReport {
     pub num_points: usize,
     /// Distance between them, world's unit; 0 where none was asked for and the maps hold relief down to
     /// the pixels.
-    #[serde(default)]
     pub spacing: f64,
     /// Mean number of views that agree on a point.
     pub mean_num_views: f64,

@@ -80,21 +80,18 @@ pub(crate) fn simplify(mesh: &mut Mesh, max_num_triangles: usize) -> f64 {
 }
 
 /// Drops what collapsed edges leave behind: vertices that no triangle uses, and the two sides of what
-/// has become flat, triangles of the same corners that look opposite ways. They bound no solid, and
-/// what they leave open without each other they also do together: nothing.
+/// has become flat, triangles of the same corners that look opposite ways. Both run through each of
+/// their edges, against each other: a closed mesh stays closed without them.
 fn tidy(mesh: &mut Mesh) {
-    let sorted = |t: &[u32; 3]| {
+    let numbered = mesh.triangles.iter().zip(0_u32..);
+    let places = numbered.map(|(t, number)| {
         let mut corners = *t;
         corners.sort_unstable();
-        // An even number of exchanges is a turn of the corners, an odd one turns the triangle over.
+        // Else the triangle in ascending order looks the other way.
         let is_turn = (0..3).any(|k| [t[k], t[(k + 1) % 3], t[(k + 2) % 3]] == corners);
-        (corners, is_turn)
-    };
-    let mut places: Vec<([u32; 3], bool, u32)> = Vec::with_capacity(mesh.triangles.len());
-    places.extend((mesh.triangles.iter().zip(0..)).map(|(t, k)| {
-        let (corners, is_turn) = sorted(t);
-        (corners, is_turn, k)
-    }));
+        (corners, is_turn, number)
+    });
+    let mut places: Vec<([u32; 3], bool, u32)> = places.collect();
     places.sort_unstable();
     let mut is_flat = vec![false; mesh.triangles.len()];
     for same in places.chunk_by(|a, b| a.0 == b.0) {

@@ -34,10 +34,14 @@ impl AdjustedCamera {
         }
     }
 
+    /// Whether a parameter is its own, not the lens's that it shares.
+    pub(super) fn is_own(&self, k: usize) -> bool {
+        self.lens_of.is_none() || PRINCIPAL_POINT.contains(&k)
+    }
+
     /// The parameters that it has a prior of its own for: index, deviation, standard deviation.
     pub(super) fn priors(&self) -> impl Iterator<Item = (usize, f64, f64)> {
-        let own =
-            (0..NUM_INTRINSICS).filter(|&k| self.lens_of.is_none() || PRINCIPAL_POINT.contains(&k));
+        let own = (0..NUM_INTRINSICS).filter(|&k| self.is_own(k));
         own.filter_map(|k| Some((k, self.deviation[k], self.prior_sigma[k]?)))
     }
 

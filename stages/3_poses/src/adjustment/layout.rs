@@ -48,13 +48,12 @@ impl Layout {
         let mut cameras = Vec::with_capacity(bundle.cameras.len());
         // Of each camera its lens, then its principal point: cameras may share the former alone.
         for camera in &bundle.cameras {
-            let is_own = |k: usize| camera.lens_of.is_none() || PRINCIPAL_POINT.contains(&k);
             let mut columns = [None; NUM_INTRINSICS];
             for of_lens in [true, false] {
                 let mut last = None;
                 for (k, column) in columns.iter_mut().enumerate() {
                     if of_lens != PRINCIPAL_POINT.contains(&k) {
-                        *column = number(is_own(k) && camera.prior_sigma[k].is_some());
+                        *column = number(camera.is_own(k) && camera.prior_sigma[k].is_some());
                         last = column.or(last);
                     }
                 }

@@ -122,11 +122,16 @@ impl Intrinsics {
 
     /// A focal length that no lens has, pixels.
     pub fn implausible_focal_px(&self) -> Option<f64> {
-        let side = self.width.max(self.height) as f64;
+        let side = self.longer_side();
         let focal = [self.fx, self.fy].into_iter();
         focal
             .into_iter()
             .find(|f| !Self::FOCAL_OVER_SIDE.contains(&(f / side)))
+    }
+
+    /// Longer side of the frame, pixels.
+    pub fn longer_side(&self) -> f64 {
+        self.width.max(self.height) as f64
     }
 
     /// Mean focal length in pixels.
