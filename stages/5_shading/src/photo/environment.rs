@@ -357,8 +357,7 @@ fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] 
         let mut ratios: Vec<f64> = samples
             .iter()
             .filter_map(|s| {
-                let light: f32 = s.row.iter().zip(&fit.radiance).map(|(t, l)| t * l[c]).sum();
-                let light = light + fit.bounce[c] * s.nearby[c];
+                let light = fit.intensity(s)[c];
                 (light > 1e-4).then(|| f64::from(s.intensity[c] / light))
             })
             .collect();

@@ -2,8 +2,8 @@
 //!
 //! Correlation needs no exposure, so it searches one level coarser; where views agree their intensities
 //! give the gains, and what the gains leave is the photos' disagreement, from which σ_m follows. With
-//! the gains divided out the coarse level is searched again, by squared differences where brightness
-//! is as good as constant. A search is repeated against the depths that the other views found.
+//! the gains divided out the coarse level is searched again, where patches' means are compared as well. A
+//! search is repeated against the depths that the other views found.
 //!
 //! Finer levels are searched where photos disagree too much to be compared pixel by pixel. Gloss,
 //! bounce and dirt make two photos of one point differ; σ_m grows with that disagreement, and
@@ -23,7 +23,7 @@ use nalgebra::Point3;
 use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
-use rilievo_stereo::patch_cost::{PatchCost, Plane};
+use rilievo_stereo::patch_cost::Plane;
 use rilievo_stereo::patchmatch::{self, SearchOptions};
 use rilievo_stereo::search::{self, Search};
 use rilievo_stereo::start;
@@ -33,7 +33,7 @@ use std::time::Instant;
 const MIN_DISAGREEMENT: f64 = 0.012;
 /// Beyond this the photos hardly show the same object.
 const MAX_DISAGREEMENT: f64 = 0.2;
-/// Disagreement from which patches are compared by correlation.
+/// Disagreement from which single pixels are no match.
 const LARGE_DISAGREEMENT: f64 = 0.055;
 /// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
 /// surface and moves nothing.
@@ -47,9 +47,14 @@ const NUM_FUSIONS: usize = 2;
 const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
 impl Solver<'_> {
-    /// Whether brightness is so far from constant that patches are compared by correlation.
+    /// Whether brightness is so far from constant that single pixels are no match.
     pub fn photos_disagree(&self) -> bool {
         self.report.disagreement >= LARGE_DISAGREEMENT
+    }
+
+    fn bounded_disagreement(&self) -> f64 {
+        let disagreement = self.report.disagreement;
+        disagreement.clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT)
     }
 
     /// Log depths of every view at a level, searched from the planes that `start` returns, and then against what the
@@ -58,13 +63,13 @@ impl Solver<'_> {
         &self,
         at: usize,
         posed: &PosedViews,
-        cost: PatchCost,
+        mean_deviation: Option<f32>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
-        let first = self.dense_search(at, posed, cost, start, None)?;
+        let first = self.dense_search(at, posed, mean_deviation, start, None)?;
         let found = log_depths(&first);
         let start = |i: usize| first[i].clone();
-        let planes = self.dense_search(at, posed, cost, Some(&start), Some(&found))?;
+        let planes = self.dense_search(at, posed, mean_deviation, Some(&start), Some(&found))?;
         Ok(log_depths(&planes))
     }
 
@@ -74,7 +79,7 @@ impl Solver<'_> {
         &self,
         at: usize,
         posed: &PosedViews,
-        cost: PatchCost,
+        mean_deviation: Option<f32>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
         found: Option<&[Vec<f64>]>,
     ) -> Result<Vec<Vec<Plane>>, ShadingError> {
@@ -85,7 +90,7 @@ impl Solver<'_> {
             .chain(posed.anchors.iter().map(|a| Point3::from(a.position)))
             .collect();
         let options = SearchOptions {
-            cost,
+            mean_deviation,
             num_sweeps: self.options.effort.num_sweeps,
             num_best: NUM_BEST,
             seed: self.options.seed,
@@ -117,7 +122,7 @@ impl Solver<'_> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.progress(PhotoStep::Exposure, 0, 1)?;
-        let planes = self.dense_search(at, posed, PatchCost::Correlation, None, None)?;
+        let planes = self.dense_search(at, posed, None, None, None)?;
         let level = self.scene.level(at);
         let depths = log_depths(&planes);
         let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
@@ -126,11 +131,8 @@ impl Solver<'_> {
             exposure.gains.fill([1.0; 3]);
         }
         self.scene.divide_by_gains(&exposure.gains);
-        let disagreement = exposure
-            .disagreement
-            .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);
         self.report.disagreement = exposure.disagreement;
-        self.report.sigma_match = SIGMA_SHARE * disagreement;
+        self.report.sigma_match = SIGMA_SHARE * self.bounded_disagreement();
         self.report.add_step(PhotoStep::Exposure, at, began);
         self.report.views = self
             .scene
@@ -162,20 +164,14 @@ impl Solver<'_> {
         let began = Instant::now();
         let at = self.scene.coarse;
         self.progress(PhotoStep::Search, 0, 1)?;
-        let cost = if self.photos_disagree() {
-            PatchCost::Correlation
-        } else {
-            PatchCost::SquaredDifferences {
-                sigma: (2.7 * self.report.sigma_match) as f32,
-            }
-        };
+        let mean_deviation = Some(self.bounded_disagreement() as f32);
         let level = self.scene.level(at);
         let coarser = self.scene.coarser(at);
         let start =
             |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
-        let depths = self.consistent_search(at, posed, cost, start)?;
+        let depths = self.consistent_search(at, posed, mean_deviation, start)?;
         let found = self.found(at, &self.exact_solvers(at), &depths)?;
         self.report.search_scatter_px = found.scatter_px;
         for (i, agreement) in found.agreement.iter().enumerate() {
@@ -198,8 +194,7 @@ impl Solver<'_> {
         self.progress(PhotoStep::FinerSearch, 0, 1)?;
         let level = self.scene.level(at);
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
-        let cost = PatchCost::Correlation;
-        let searched = self.consistent_search(at, posed, cost, Some(&tangent))?;
+        let searched = self.consistent_search(at, posed, None, Some(&tangent))?;
         let found = self.found(at, solvers, &searched)?;
         self.show(at, "searched", &found.surface)?;
         let mut surface = found.surface;

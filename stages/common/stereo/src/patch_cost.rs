@@ -1,10 +1,11 @@
 //! What a plane about a pixel costs: its patch compared with the patch's image in each source.
 //!
-//! Bounded squared differences `2 s/(1+s)`, `s = mean (I_i − I_j)² / (σ Ī)²`, where brightness is
-//! constant, or `1 − correlation` where it is not; plus the share of the patch that leaves the
-//! source's mask. The patch is weighted by a Gaussian; samples that differ from the pixel in
-//! brightness may lie beyond an edge of the object, on another plane, and count less: `gaussian ·
-//! exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
+//! `1 − ρ + 0.3 r²/(1+r²)`, plus the share of the patch that leaves the source's mask. The zero-mean
+//! normalised correlation `ρ` sees structure, whatever gain and offset lie between the photos; where a patch holds
+//! nothing but noise it tells nothing, and `r = (Ī_i − Ī_j) / (σ ½ (Ī_i + Ī_j))`, the difference of the patches' means in
+//! units of how far the photos disagree about brightness, decides. The patch is weighted by a Gaussian; samples that
+//! differ from the pixel in brightness may lie beyond an edge of the object, on another plane, and count less:
+//! `gaussian · exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
 //!
 //! Where the sources' depths were searched before, a plane also costs what it contradicts them by, `0.15 min(|ζ − ζ_j| f,
 //! 2)` of log depths in source `j` (geometric consistency as of Schönberger, Zheng, Frahm, Pollefeys, ECCV 2016): a
@@ -15,18 +16,6 @@ use crate::level::{Level, LevelView};
 use crate::sightings::MAX_SOURCES;
 use rilievo_scene::{Mask, Raster};
 use serde::{Deserialize, Serialize};
-
-/// How patches are compared.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum PatchCost {
-    /// One minus the zero-mean normalised correlation.
-    Correlation,
-    /// Bounded squared differences, with the relative standard deviation of intensities.
-    SquaredDifferences {
-        /// Relative to the patch's mean.
-        sigma: f32,
-    },
-}
 
 /// A plane about a pixel.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -62,6 +51,8 @@ impl Plane {
 const RADIUS_PX: i32 = 4;
 /// `γ` of the module's text.
 const CONTRAST: f32 = 0.15;
+/// Largest cost of unlike means.
+const MEAN_COST: f32 = 0.3;
 /// Contrast that is noise: standard deviation over the mean of a patch.
 const NOISE: f32 = 0.003;
 /// Share of a view's mean brightness below which all is equally dark.
@@ -164,7 +155,8 @@ pub(crate) struct Matcher<'a> {
     gaussian: Vec<f32>,
     /// Log brightness of the view.
     log_grey: Raster<f32>,
-    cost: PatchCost,
+    /// `σ` of the module's text, if means are compared.
+    mean_deviation: Option<f32>,
     /// Sources that count: the best ones.
     num_best: usize,
 }
@@ -175,7 +167,7 @@ impl<'a> Matcher<'a> {
         index: usize,
         masks: &[Mask],
         found: Option<&'a [Raster<f32>]>,
-        (cost, num_best): (PatchCost, usize),
+        (mean_deviation, num_best): (Option<f32>, usize),
     ) -> Self {
         let view = &level.views[index];
         let (pixels, grey) = (&view.pixels, &view.grey);
@@ -204,7 +196,7 @@ impl<'a> Matcher<'a> {
             log_grey: Raster::from_fn(grey.width, grey.height, |x, y| {
                 grey.at(x, y).max(darkest).ln()
             }),
-            cost,
+            mean_deviation,
             num_best,
         }
     }
@@ -284,24 +276,19 @@ impl<'a> Matcher<'a> {
         }
         let out = 1.0 - sw / patch.total + apart;
         let (m1, m2) = (s1 / sw, s2 / sw);
-        match self.cost {
-            PatchCost::SquaredDifferences { sigma } => {
-                let scale = (sigma * 0.5 * (m1 + m2)).max(1e-9);
-                let ssd = ((s11 + s22 - 2.0 * s12) / sw).max(0.0) / (scale * scale);
-                2.0 * ssd / (1.0 + ssd) + out
-            }
-            PatchCost::Correlation => {
-                let v1 = (s11 / sw - m1 * m1).max(0.0) + (NOISE * m1).powi(2);
-                let v2 = (s22 / sw - m2 * m2).max(0.0) + (NOISE * m2).powi(2);
-                let spread = (v1 * v2).sqrt();
-                if spread == 0.0 {
-                    // All black: nothing to compare.
-                    return 1.0 + out;
-                }
-                let correlation = (s12 / sw - m1 * m2) / spread;
-                (1.0 - correlation).min(1.0) + out
-            }
+        let unlike = self.mean_deviation.map_or(0.0, |deviation| {
+            let r = (m1 - m2) / (deviation * 0.5 * (m1 + m2)).max(1e-9);
+            MEAN_COST * r * r / (1.0 + r * r)
+        });
+        let v1 = (s11 / sw - m1 * m1).max(0.0) + (NOISE * m1).powi(2);
+        let v2 = (s22 / sw - m2 * m2).max(0.0) + (NOISE * m2).powi(2);
+        let spread = (v1 * v2).sqrt();
+        if spread == 0.0 {
+            // All black: nothing to compare.
+            return 1.0 + unlike + out;
         }
+        let correlation = (s12 / sw - m1 * m2) / spread;
+        (1.0 - correlation).min(1.0) + unlike + out
     }
 }
 

@@ -7,7 +7,7 @@
 
 use crate::hull::InverseDepthRange;
 use crate::level::{Level, LevelView};
-use crate::patch_cost::{Matcher, Patch, PatchCost, Plane};
+use crate::patch_cost::{Matcher, Patch, Plane};
 use crate::plate;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_numerics::robust::median;
@@ -16,8 +16,9 @@ use rilievo_scene::{Mask, Raster};
 /// Size of a search.
 #[derive(Clone, Copy, Debug)]
 pub struct SearchOptions {
-    /// How patches are compared.
-    pub cost: PatchCost,
+    /// Relative standard deviation of the patches' means between photos whose exposures are divided out;
+    /// `None`: means are not compared.
+    pub mean_deviation: Option<f32>,
     /// Raster sweeps, to and fro in turn.
     pub num_sweeps: usize,
     /// Sources that count: the best ones.
@@ -94,7 +95,13 @@ pub fn search(
 ) -> Vec<Plane> {
     let view = &level.views[index];
     let pixels = &view.pixels;
-    let matcher = Matcher::new(level, index, masks, found, (options.cost, options.num_best));
+    let matcher = Matcher::new(
+        level,
+        index,
+        masks,
+        found,
+        (options.mean_deviation, options.num_best),
+    );
     let focal = view.camera.focal() as f32;
     let mut planes = match start {
         Some(planes) => planes.to_vec(),
@@ -329,7 +336,7 @@ mod tests {
             high: 1.1,
         };
         let options = SearchOptions {
-            cost: PatchCost::Correlation,
+            mean_deviation: None,
             num_sweeps: 4,
             num_best: 1,
             seed: 0,
@@ -352,5 +359,47 @@ mod tests {
             share > 0.9,
             "{share} of {all} pixels beside the edge are right"
         );
+    }
+
+    /// A plane whose brightness rises evenly looks alike to a correlation wherever it is compared.
+    #[test]
+    fn an_even_rise_of_brightness_is_found_by_its_means() {
+        const DEPTH: f64 = 1.15;
+        let cameras = [-0.1, 0.0, 0.1].map(camera);
+        let even = |camera: &Camera| {
+            let mut image = LinearImage::filled(SIZE.0, SIZE.1, 3, 0.0);
+            for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y))) {
+                let along = camera.center.x + DEPTH * camera.ray(x as f64, y as f64).x;
+                image.pixel_mut(x, y).fill((0.3 + 0.24 * along) as f32);
+            }
+            LevelView::from_photo(camera, &image, &Raster::filled(SIZE.0, SIZE.1, true), 1.0).0
+        };
+        let level = Level::new(
+            cameras.iter().map(even).collect(),
+            &[vec![1], vec![0, 2], vec![1]],
+        );
+        let middle = &level.views[1];
+        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
+        let range = InverseDepthRange {
+            low: 0.7,
+            high: 1.1,
+        };
+        let ranges = vec![range; middle.pixels.len()];
+        let error = |mean_deviation| {
+            let options = SearchOptions {
+                mean_deviation,
+                num_sweeps: 4,
+                num_best: 1,
+                seed: 0,
+            };
+            let planes = search(&level, 1, &masks, &ranges, None, None, &options);
+            let errors = planes
+                .iter()
+                .map(|plane| (f64::from(plane.inverse_depth) * DEPTH - 1.0).abs());
+            median(&mut errors.collect::<Vec<f64>>()).unwrap_or(1.0)
+        };
+        let (with, without) = (error(Some(0.012)), error(None));
+        assert!(with < 0.01, "by means {with}");
+        assert!(without > 3.0 * with, "without {without}, by means {with}");
     }
 }

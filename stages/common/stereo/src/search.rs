@@ -2,7 +2,7 @@
 
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
-use crate::patch_cost::{PatchCost, Plane};
+use crate::patch_cost::Plane;
 use crate::patchmatch::{self, SearchOptions};
 use nalgebra::Point3;
 use rilievo_scene::{Mask, Raster};
@@ -47,11 +47,8 @@ impl<'a> Search<'a> {
             // Planes need to be spread and polished only.
             options.num_sweeps = options.num_sweeps.div_ceil(2);
             // Beside an edge some sources see another surface: the better half shows depth (Kang,
-            // Szeliski, Chai, CVPR 2001). Differences need more, and so does a search without a
-            // start.
-            if options.cost == PatchCost::Correlation {
-                options.num_best = num_sources.div_ceil(2);
-            }
+            // Szeliski, Chai, CVPR 2001). A search without a start needs more.
+            options.num_best = num_sources.div_ceil(2);
         }
         Some(Self {
             level,
