@@ -322,6 +322,23 @@ mod tests {
         LevelView::from_photo(camera, &image, &Raster::filled(SIZE.0, SIZE.1, true), 1.0).0
     }
 
+    /// The planes that are found in the middle one of three views.
+    fn planes_of_middle(level: &Level, mean_deviation: Option<f32>) -> Vec<Plane> {
+        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
+        let range = InverseDepthRange {
+            low: 0.7,
+            high: 1.1,
+        };
+        let options = SearchOptions {
+            mean_deviation,
+            num_sweeps: 4,
+            num_best: 1,
+            seed: 0,
+        };
+        let ranges = vec![range; level.views[1].pixels.len()];
+        search(level, 1, &masks, &ranges, None, None, &options)
+    }
+
     #[test]
     fn depth_breaks_where_brightness_does() {
         let cameras = [-0.1, 0.0, 0.1].map(camera);
@@ -330,19 +347,7 @@ mod tests {
             &[vec![1], vec![0, 2], vec![1]],
         );
         let middle = &level.views[1];
-        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
-        let range = InverseDepthRange {
-            low: 0.7,
-            high: 1.1,
-        };
-        let options = SearchOptions {
-            mean_deviation: None,
-            num_sweeps: 4,
-            num_best: 1,
-            seed: 0,
-        };
-        let ranges = vec![range; middle.pixels.len()];
-        let planes = search(&level, 1, &masks, &ranges, None, None, &options);
+        let planes = planes_of_middle(&level, None);
         // Pixels within four of the edge, and away from the frame.
         let (mut right, mut all) = (0, 0);
         for (p, plane) in planes.iter().enumerate() {
@@ -378,21 +383,8 @@ mod tests {
             cameras.iter().map(even).collect(),
             &[vec![1], vec![0, 2], vec![1]],
         );
-        let middle = &level.views[1];
-        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
-        let range = InverseDepthRange {
-            low: 0.7,
-            high: 1.1,
-        };
-        let ranges = vec![range; middle.pixels.len()];
         let error = |mean_deviation| {
-            let options = SearchOptions {
-                mean_deviation,
-                num_sweeps: 4,
-                num_best: 1,
-                seed: 0,
-            };
-            let planes = search(&level, 1, &masks, &ranges, None, None, &options);
+            let planes = planes_of_middle(&level, mean_deviation);
             let errors = planes
                 .iter()
                 .map(|plane| (f64::from(plane.inverse_depth) * DEPTH - 1.0).abs());
