@@ -353,13 +353,13 @@ fn open_harmonics(fit: &EnvironmentFit, num_rays: usize) -> Lighting {
 /// A sphere's albedo over the object's, or a given light's over that of the photos: median ratio
 /// between the points' intensities and those of the fitted light.
 fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
+    let fitted: Vec<[f32; 3]> = samples.iter().map(|s| fit.intensity(s)).collect();
     std::array::from_fn(|c| {
         let mut ratios: Vec<f64> = samples
             .iter()
-            .filter_map(|s| {
-                let light = fit.intensity(s)[c];
-                (light > 1e-4).then(|| f64::from(s.intensity[c] / light))
-            })
+            .zip(&fitted)
+            .filter(|(_, light)| light[c] > 1e-4)
+            .map(|(s, light)| f64::from(s.intensity[c] / light[c]))
             .collect();
         median(&mut ratios).unwrap_or(1.0) as f32
     })

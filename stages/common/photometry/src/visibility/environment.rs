@@ -1,6 +1,6 @@
 //! The environment's radiance, one value per direction and channel, from points whose intensity is
-//! known: `min_{L ≥ 0, b ≥ 0} Σ ρ(r) + λ Σ (L_k − L_k')²` over neighbouring directions, `r = (S − I) / ½ (S + I)`
-//! with the intensity `S = T L + b B`.
+//! known: `min_{L ≥ 0, b ≥ 0} Σ w ρ(r) + λ Σ (L_k − L_k')²` over neighbouring directions, `r = (S − I) / ½ (S + I)`
+//! with the intensity `S = T L + b B` and the sample's weight `w`.
 //!
 //! `T` is what a point sees, `B` what its surroundings send, `b` their common factor (the albedo over
 //! the one contained in `L`). Solved on the normal equations by cyclic coordinate descent with
@@ -246,36 +246,46 @@ fn solve_channel(
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_known_sky_and_bounce_are_found_again() {
-        let rays = super::super::directions(48);
+    /// Points of a sphere under a sky, without bounce, from which some of the rays are hidden.
+    fn sphere_under_sky(
+        rays: &[Vector3<f32>],
+        is_hidden: impl Fn(usize, &Vector3<f32>) -> bool,
+    ) -> Vec<EnvironmentSample> {
         let sky: Vec<f32> = rays.iter().map(|d| (1.5 * d.y + 0.4).max(0.0)).collect();
-        let samples: Vec<EnvironmentSample> = super::super::directions(700)
-            .iter()
-            .enumerate()
+        let normals = super::super::directions(700).into_iter().enumerate();
+        normals
             .map(|(i, n)| {
-                // Part of the sky is hidden from every second point, which gets bounce instead.
-                let row: Vec<f32> = rays
-                    .iter()
-                    .map(|d| {
-                        let hidden = i % 2 == 0 && d.x > 0.3;
-                        if hidden {
-                            0.0
-                        } else {
-                            n.dot(d).max(0.0) * 4.0 / 48.0
-                        }
-                    })
-                    .collect();
-                let nearby = if i % 2 == 0 { 0.2 } else { 0.05 };
+                let scale = 4.0 / rays.len() as f32;
+                let cosine = |d: &Vector3<f32>| n.dot(d).max(0.0);
+                let seen = |d| {
+                    if is_hidden(i, d) {
+                        0.0
+                    } else {
+                        cosine(d) * scale
+                    }
+                };
+                let row: Vec<f32> = rays.iter().map(seen).collect();
                 let light: f32 = row.iter().zip(&sky).map(|(t, l)| t * l).sum();
                 EnvironmentSample {
                     row,
-                    nearby: [nearby; 3],
-                    intensity: [light + 0.8 * nearby; 3],
+                    nearby: [0.0; 3],
+                    intensity: [light; 3],
                     weight: 1.0,
                 }
             })
-            .collect();
+            .collect()
+    }
+
+    #[test]
+    fn a_known_sky_and_bounce_are_found_again() {
+        let rays = super::super::directions(48);
+        // Part of the sky is hidden from every second point, which gets bounce instead.
+        let mut samples = sphere_under_sky(&rays, |i, d| i % 2 == 0 && d.x > 0.3);
+        for (i, sample) in samples.iter_mut().enumerate() {
+            let nearby = if i % 2 == 0 { 0.2 } else { 0.05 };
+            sample.nearby = [nearby; 3];
+            sample.intensity = sample.intensity.map(|light| light + 0.8 * nearby);
+        }
         let fit = fit_environment(&samples, &rays, 1e-5);
         let Some(fit) = fit else { panic!("no fit") };
         assert!((fit.bounce[1] - 0.8).abs() < 0.15, "{:?}", fit.bounce);
@@ -290,25 +300,10 @@ mod tests {
     #[test]
     fn unexplained_shadow_does_not_darken_the_light() {
         let rays = super::super::directions(48);
-        let sky: Vec<f32> = rays.iter().map(|d| (1.5 * d.y + 0.4).max(0.0)).collect();
-        let samples: Vec<EnvironmentSample> = super::super::directions(700)
-            .iter()
-            .enumerate()
-            .map(|(i, n)| {
-                let row: Vec<f32> = rays
-                    .iter()
-                    .map(|d| n.dot(d).max(0.0) * 4.0 / 48.0)
-                    .collect();
-                let light: f32 = row.iter().zip(&sky).map(|(t, l)| t * l).sum();
-                let shadow = if i % 4 == 0 { 0.02 } else { 1.0 };
-                EnvironmentSample {
-                    row,
-                    nearby: [0.0; 3],
-                    intensity: [shadow * light; 3],
-                    weight: 1.0,
-                }
-            })
-            .collect();
+        let mut samples = sphere_under_sky(&rays, |_, _| false);
+        for sample in samples.iter_mut().step_by(4) {
+            sample.intensity = sample.intensity.map(|light| 0.02 * light);
+        }
         let Some(fit) = fit_environment(&samples, &rays, 1e-3) else {
             panic!("no fit")
         };
