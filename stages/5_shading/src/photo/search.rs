@@ -11,7 +11,7 @@
 //! offset, and still finds depth to a fraction of a pixel. So the tangent planes of the solved
 //! surface are searched around once more, and the surface starts again from the depths that another
 //! view confirms, fused over all views. The search knows no smoothness, and so finds the breaks
-//! that a plate bridges; gaps behind nearer surfaces are continued (`edges`).
+//! that a plate bridges. What no other view confirms keeps the depth of the solved surface.
 
 use super::memory;
 use super::report::PhotoViewReport;
@@ -182,11 +182,10 @@ impl Solver<'_> {
         Ok(found.surface)
     }
 
-    /// The surface at level `at`, searched around `depths`.
+    /// The surface at level `at`, searched around `depths`: the mean of what the views find. What no view confirms stays.
     pub fn search_again(
         &mut self,
         at: usize,
-        solvers: &SolverSet,
         depths: &[Vec<f64>],
         posed: &PosedViews,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
@@ -194,14 +193,21 @@ impl Solver<'_> {
         self.progress(PhotoStep::FinerSearch, 0, 1)?;
         let level = self.scene.level(at);
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
-        let searched = self.consistent_search(at, posed, None, Some(&tangent))?;
-        let found = self.found(at, solvers, &searched)?;
-        self.show(at, "searched", &found.surface)?;
-        let mut surface = found.surface;
+        let mut surface = self.consistent_search(at, posed, None, Some(&tangent))?;
+        let scatter_px = start::scatter(level, &surface);
+        let agreement = start::agreement(level, &surface, search::agreement_tolerance(level));
+        for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
+            for ((found, before), &bits) in found.iter_mut().zip(before).zip(agreement) {
+                if bits == 0 {
+                    *found = *before;
+                }
+            }
+        }
+        self.show(at, "searched", &surface)?;
         for _ in 0..NUM_FUSIONS {
             surface = self.fused(at, &surface, SEARCHED_FUSION_PX)?;
         }
-        self.report.finer_search_scatter_px = Some(found.scatter_px);
+        self.report.finer_search_scatter_px = Some(scatter_px);
         self.report.add_step(PhotoStep::FinerSearch, at, began);
         self.show(at, "searched, fused", &surface)?;
         Ok(surface)

@@ -348,7 +348,7 @@ impl Solver<'_> {
         self.measure_sharpness(at, &depths);
         self.show(at, "finer start", &depths)?;
         if searches {
-            depths = self.search_again(at, &solvers, &depths, posed)?;
+            depths = self.search_again(at, &depths, posed)?;
         }
         let light = light.map(|light| self.finer_light(at, &depths, light));
         let shared_error = match (self.last_match(), &light) {
