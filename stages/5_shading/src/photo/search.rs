@@ -20,12 +20,11 @@ use super::solver::Solver;
 use super::steps::PhotoStep;
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
 use rilievo_stereo::patch_cost::Plane;
 use rilievo_stereo::patchmatch::{self, SearchOptions};
-use rilievo_stereo::search::{self, Search};
+use rilievo_stereo::search::Search;
 use rilievo_stereo::start;
 use std::time::Instant;
 
@@ -125,7 +124,7 @@ impl Solver<'_> {
         let planes = self.dense_search(at, posed, None, None, None)?;
         let level = self.scene.level(at);
         let depths = log_depths(&planes);
-        let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
+        let agreement = start::agreement(level, &depths);
         let mut exposure = gains::estimate(level, &depths, &agreement);
         if kind == LightKind::Camera {
             exposure.gains.fill([1.0; 3]);
@@ -172,14 +171,15 @@ impl Solver<'_> {
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
         let depths = self.consistent_search(at, posed, mean_deviation, start)?;
-        let found = self.found(at, &self.exact_solvers(at), &depths)?;
-        self.report.search_scatter_px = found.scatter_px;
-        for (i, agreement) in found.agreement.iter().enumerate() {
+        let agreement = start::agreement(level, &depths);
+        let surface = self.continued(at, &depths, &agreement)?;
+        self.report.search_scatter_px = start::scatter(level, &depths);
+        for (view, agreement) in self.report.views.iter_mut().zip(&agreement) {
             let confirmed = agreement.iter().filter(|&&bits| bits != 0).count();
-            self.report.views[i].confirmed = confirmed as f64 / agreement.len().max(1) as f64;
+            view.confirmed = confirmed as f64 / agreement.len().max(1) as f64;
         }
         self.report.add_step(PhotoStep::Search, at, began);
-        Ok(found.surface)
+        Ok(surface)
     }
 
     /// The surface at level `at`, searched around `depths`: the mean of what the views find. What no view confirms stays.
@@ -195,11 +195,11 @@ impl Solver<'_> {
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
         let mut surface = self.consistent_search(at, posed, None, Some(&tangent))?;
         let scatter_px = start::scatter(level, &surface);
-        let agreement = start::agreement(level, &surface, search::agreement_tolerance(level));
+        let agreement = start::agreement(level, &surface);
         for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
-            for ((found, before), &bits) in found.iter_mut().zip(before).zip(agreement) {
+            for ((found, &before), &bits) in found.iter_mut().zip(before).zip(agreement) {
                 if bits == 0 {
-                    *found = *before;
+                    *found = before;
                 }
             }
         }
@@ -213,16 +213,15 @@ impl Solver<'_> {
         Ok(surface)
     }
 
-    /// The surface through those searched log depths that views confirm.
-    fn found(
+    /// The surface through those searched log depths that sources confirm, continued over the masks.
+    fn continued(
         &self,
         at: usize,
-        solvers: &SolverSet,
         depths: &[Vec<f64>],
-    ) -> Result<Found, ShadingError> {
-        let level = self.scene.level(at);
-        let agreement = start::agreement(level, depths, search::agreement_tolerance(level));
-        let surface = self.divided(memory::solve_bytes(level), |i| {
+        agreement: &[Vec<u8>],
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let (level, solvers) = (self.scene.level(at), self.exact_solvers(at));
+        self.divided(memory::solve_bytes(level), |i| {
             let view = &level.views[i];
             let weights = agreement[i]
                 .iter()
@@ -232,11 +231,6 @@ impl Solver<'_> {
             solver
                 .and_then(|s| start::continued(view, &s, &depths[i], &weights, 1.0 / level.focal()))
                 .map_err(|e| self.failed(i, &e))
-        })?;
-        Ok(Found {
-            surface,
-            scatter_px: start::scatter(level, depths),
-            agreement,
         })
     }
 }
@@ -245,14 +239,4 @@ impl Solver<'_> {
 fn log_depths(planes: &[Vec<Plane>]) -> Vec<Vec<f64>> {
     let of_view = |planes: &Vec<Plane>| planes.iter().map(Plane::log_depth).collect();
     planes.iter().map(of_view).collect()
-}
-
-/// What a search found.
-struct Found {
-    /// Log depths of every view, continued over its mask.
-    surface: Vec<Vec<f64>>,
-    /// Which sources confirm each depth ([`start::agreement`]).
-    agreement: Vec<Vec<u8>>,
-    /// Distance between the views' searched depths, pixel footprints.
-    scatter_px: f64,
 }

@@ -1,4 +1,4 @@
-//! Dense search over all views of a level, inside their visual hull, and what the views confirm of it.
+//! Dense search over all views of a level, inside their visual hull.
 
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
@@ -95,9 +95,4 @@ impl<'a> Search<'a> {
             &self.options,
         )
     }
-}
-
-/// Relative depth within which two views' dense depths agree: a few pixels of the level.
-pub fn agreement_tolerance(level: &Level) -> f64 {
-    2.7 / level.focal()
 }

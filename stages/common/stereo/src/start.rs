@@ -8,6 +8,8 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{Functional, OUTSIDE, PlateError, PlateSystem};
 use rilievo_numerics::robust::{log_weight, median};
 
+/// Difference within which two views' searched depths agree, pixel footprints.
+const AGREEMENT_PX: f64 = 2.7;
 /// Difference beyond which two views' depths belong to different surfaces, pixel footprints.
 const MAX_SCATTER_PX: f64 = 10.0;
 
@@ -22,8 +24,9 @@ pub fn confirmed_weight(agreeing: u8) -> f64 {
 }
 
 /// Compares log depths between the views: per view and masked pixel, bit `k` is set where the
-/// `k`-th source agrees within `tolerance`, relative depth.
-pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Vec<u8>> {
+/// `k`-th source agrees within a few pixel footprints.
+pub fn agreement(level: &Level, depths: &[Vec<f64>]) -> Vec<Vec<u8>> {
+    let tolerance = AGREEMENT_PX / level.focal();
     (0..level.views.len())
         .into_par_iter()
         .map(|i| {
