@@ -120,7 +120,8 @@ impl Solver<'_> {
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             let mut likeness = Likeness::default();
             for parity in 0..2 {
-                let surfaces = Surfaces::new(level, depths, self.reading());
+                let surfaces = Surfaces::new(level, depths, self.reading())
+                    .with_certainty(self.certainty.as_deref());
                 let views: Vec<usize> = (parity..level.views.len()).step_by(2).collect();
                 let improved = self.divided_among(&views, memory::solve_bytes(level), |i| {
                     let (view, depth) = (&level.views[i], &depths[i]);

@@ -11,7 +11,8 @@
 //! offset, and still finds depth to a fraction of a pixel. So the tangent planes of the solved
 //! surface are searched around once more, and the surface starts again from the depths that another
 //! view confirms, fused over all views. The search knows no smoothness, and so finds the breaks
-//! that a plate bridges. What no other view confirms keeps the depth of the solved surface.
+//! that a plate bridges. What no other view confirms keeps the depth of the solved surface. Where patches hold little
+//! but noise, searched depths follow it in all views alike, and the views hold each other to it less.
 
 use super::memory;
 use super::report::PhotoViewReport;
@@ -24,7 +25,7 @@ use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
 use rilievo_stereo::patch_cost::Plane;
 use rilievo_stereo::patchmatch::{self, SearchOptions};
-use rilievo_stereo::search::Search;
+use rilievo_stereo::search::{self, Search};
 use rilievo_stereo::start;
 use std::time::Instant;
 
@@ -56,7 +57,7 @@ impl Solver<'_> {
         disagreement.clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT)
     }
 
-    /// Log depths of every view at a level, searched from the planes that `start` returns, and then against what the
+    /// Planes of every view at a level, searched from the planes that `start` returns, and then against what the
     /// other views found.
     fn consistent_search(
         &self,
@@ -64,12 +65,11 @@ impl Solver<'_> {
         posed: &PosedViews,
         mean_deviation: Option<f32>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
         let first = self.dense_search(at, posed, mean_deviation, start, None)?;
         let found = log_depths(&first);
         let start = |i: usize| first[i].clone();
-        let planes = self.dense_search(at, posed, mean_deviation, Some(&start), Some(&found))?;
-        Ok(log_depths(&planes))
+        self.dense_search(at, posed, mean_deviation, Some(&start), Some(&found))
     }
 
     /// Planes of every view at a level, searched from those that `start` returns, and against the log depths that were
@@ -82,6 +82,24 @@ impl Solver<'_> {
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
         found: Option<&[Vec<f64>]>,
     ) -> Result<Vec<Vec<Plane>>, ShadingError> {
+        let mut search = self.search(at, posed, mean_deviation, start.is_some())?;
+        if let Some(found) = found {
+            search = search.against(found);
+        }
+        self.divided(memory::search_bytes(self.scene.level(at)), |i| {
+            let start = start.map(|of_view| of_view(i));
+            Ok(search.view(i, start.as_deref()))
+        })
+    }
+
+    /// The search of a level; `is_started`: from earlier planes.
+    fn search(
+        &self,
+        at: usize,
+        posed: &PosedViews,
+        mean_deviation: Option<f32>,
+        is_started: bool,
+    ) -> Result<Search<'_>, ShadingError> {
         let points: Vec<Point3<f64>> = posed
             .points
             .iter()
@@ -95,16 +113,9 @@ impl Solver<'_> {
             seed: self.options.seed,
         };
         let (level, masked) = (self.scene.level(at), self.scene.masked);
-        let search = Search::new(level, masked, &points, start.is_some(), &options);
-        let mut search = search.ok_or_else(|| ShadingError::NoDepth {
+        let search = Search::new(level, masked, &points, is_started, &options);
+        search.ok_or_else(|| ShadingError::NoDepth {
             view: self.scene.frames[0].name.clone(),
-        })?;
-        if let Some(found) = found {
-            search = search.against(found);
-        }
-        self.divided(memory::search_bytes(level), |i| {
-            let start = start.map(|of_view| of_view(i));
-            Ok(search.view(i, start.as_deref()))
         })
     }
 
@@ -170,7 +181,8 @@ impl Solver<'_> {
             |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
-        let depths = self.consistent_search(at, posed, mean_deviation, start)?;
+        let planes = self.consistent_search(at, posed, mean_deviation, start)?;
+        let depths = log_depths(&planes);
         let agreement = start::agreement(level, &depths);
         let surface = self.continued(at, &depths, &agreement)?;
         self.report.search_scatter_px = start::scatter(level, &depths);
@@ -183,6 +195,7 @@ impl Solver<'_> {
     }
 
     /// The surface at level `at`, searched around `depths`: the mean of what the views find. What no view confirms stays.
+    /// How certain it is is kept for the rounds around it.
     pub fn search_again(
         &mut self,
         at: usize,
@@ -193,7 +206,15 @@ impl Solver<'_> {
         self.progress(PhotoStep::FinerSearch, 0, 1)?;
         let level = self.scene.level(at);
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
-        let mut surface = self.consistent_search(at, posed, None, Some(&tangent))?;
+        let planes = self.consistent_search(at, posed, None, Some(&tangent))?;
+        let certainty = {
+            let search = self.search(at, posed, None, true)?;
+            let costs = self.divided(memory::search_bytes(level), |i| {
+                Ok(search.costs(i, &planes[i]))
+            })?;
+            search::certainties(level, &costs)
+        };
+        let mut surface = log_depths(&planes);
         let scatter_px = start::scatter(level, &surface);
         let agreement = start::agreement(level, &surface);
         for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
@@ -210,6 +231,7 @@ impl Solver<'_> {
         self.report.finer_search_scatter_px = Some(scatter_px);
         self.report.add_step(PhotoStep::FinerSearch, at, began);
         self.show(at, "searched, fused", &surface)?;
+        self.certainty = Some(certainty);
         Ok(surface)
     }
 

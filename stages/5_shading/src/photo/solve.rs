@@ -53,6 +53,7 @@ pub(crate) fn solve(
         probe,
         warnings: Vec::new(),
         exact: None,
+        certainty: None,
         fine: None,
     };
     if solver.scene.frames.len() < 2 {
@@ -336,6 +337,7 @@ impl Solver<'_> {
     ) -> Result<Outcome, ShadingError> {
         // Those of the coarse level have done their work.
         self.exact = None;
+        self.certainty = None;
         let at = shape.at - 1;
         let searches = self.options.effort.finer_search && self.photos_disagree();
         // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.

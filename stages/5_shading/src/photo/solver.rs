@@ -37,6 +37,8 @@ pub(crate) struct Solver<'a> {
     pub warnings: Vec<String>,
     /// Exact solvers of the level at which outer iterations run.
     pub exact: Option<(usize, Arc<SolverSet>)>,
+    /// How certain the depths are that the level at hand starts from, per view and pixel, if they were searched.
+    pub certainty: Option<Vec<Vec<f32>>>,
     /// The surface at a level that is out of core, once relief has begun.
     pub fine: Option<FineShape>,
     pub probe: Option<&'a Probe<'a>>,

@@ -17,7 +17,7 @@ use rilievo_numerics::robust::log_weight;
 pub const MAX_RELATIVE_WEIGHT: f64 = 2.0;
 
 /// Adds nearness to the sources' surfaces: residual `r / σ`, redescending beyond σ, weighed with how
-/// much better or worse than the view itself a source sees the point.
+/// much better or worse than the view itself a source sees the point, and with how certain the surfaces are there.
 pub fn add_terms(
     surfaces: &Surfaces,
     index: usize,
@@ -35,6 +35,7 @@ pub fn add_terms(
         .with_min_len(1024)
         .for_each(|(p, (h, b))| {
             let own = surfaces.weight(index, p);
+            let inverse = surfaces.certainty(index, p) * inverse;
             for k in 0..surfaces.level.sources[index].len() {
                 if let Some(proposal) = surfaces.propose(index, k, p, depth[p], reach) {
                     let Proposal { r, slope, weight } = proposal;

@@ -148,6 +148,25 @@ pub fn search(
     planes
 }
 
+/// What planes of a view cost in its sources' photos alone, whatever depths were found there.
+pub fn costs(
+    level: &Level,
+    index: usize,
+    masks: &[Mask],
+    planes: &[Plane],
+    options: &SearchOptions,
+) -> Vec<f32> {
+    let pixels = &level.views[index].pixels;
+    let compared = (options.mean_deviation, options.num_best);
+    let matcher = Matcher::new(level, index, masks, None, compared);
+    let mut patch = Patch::default();
+    let cost = |(i, &plane)| {
+        matcher.take(pixels.xs[i] as i32, pixels.ys[i] as i32, &mut patch);
+        matcher.cost_of(&patch, plane, f32::INFINITY)
+    };
+    planes.iter().enumerate().map(cost).collect()
+}
+
 /// Size of random steps.
 struct Steps {
     /// Of the inverse depth, relative.
@@ -337,6 +356,44 @@ mod tests {
         };
         let ranges = vec![range; level.views[1].pixels.len()];
         search(level, 1, &masks, &ranges, None, None, &options)
+    }
+
+    #[test]
+    fn a_plane_costs_what_its_patch_lacks_in_structure() {
+        let cameras = [-0.1, 0.0, 0.1].map(camera);
+        let level = Level::new(
+            cameras.iter().map(view).collect(),
+            &[vec![1], vec![0, 2], vec![1]],
+        );
+        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
+        let options = SearchOptions {
+            mean_deviation: None,
+            num_sweeps: 1,
+            num_best: 1,
+            seed: 0,
+        };
+        let middle = &level.views[1];
+        let planes = |shift: f64| -> Vec<Plane> {
+            let at = |p| {
+                let (x, y) = middle.xy(p);
+                Plane {
+                    inverse_depth: (shift / hit(&cameras[1], x, y)) as f32,
+                    slope_x: 0.0,
+                    slope_y: 0.0,
+                }
+            };
+            (0..middle.pixels.len()).map(at).collect()
+        };
+        let of = |shift| {
+            let mut costs: Vec<f64> = costs(&level, 1, &masks, &planes(shift), &options)
+                .into_iter()
+                .map(f64::from)
+                .collect();
+            median(&mut costs).unwrap_or(f64::NAN)
+        };
+        let (right, wrong) = (of(1.0), of(1.1));
+        assert!(right < 0.02, "the true planes cost {right}");
+        assert!(wrong > 0.2, "planes a tenth too near cost {wrong}");
     }
 
     #[test]

@@ -32,6 +32,8 @@ pub struct Surfaces<'a> {
     /// [`incidence_weights`].
     weights: Vec<Raster<f32>>,
     reading: Reading,
+    /// How certain each view's depths are, if they were searched.
+    certainty: Option<&'a [Vec<f32>]>,
 }
 
 /// A source's surface where a pixel of another view lands.
@@ -52,7 +54,22 @@ impl<'a> Surfaces<'a> {
             rasters: level::depth_rasters(level, depths),
             weights: incidence_weights(level, depths),
             reading,
+            certainty: None,
         }
+    }
+
+    /// With how certain the depths are that the surfaces started from, per view and pixel
+    /// ([`certainties`](crate::search::certainties)).
+    #[must_use]
+    pub fn with_certainty(self, certainty: Option<&'a [Vec<f32>]>) -> Self {
+        Self { certainty, ..self }
+    }
+
+    /// How certain the surfaces are at a pixel of view `index`, 0 to 1.
+    #[inline]
+    pub fn certainty(&self, index: usize, pixel: usize) -> f64 {
+        self.certainty
+            .map_or(1.0, |of_views| f64::from(of_views[index][pixel]))
     }
 
     /// Log depth of view `j`'s surface at a position, with its derivatives along x and y.
