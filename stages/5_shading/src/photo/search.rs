@@ -209,10 +209,10 @@ impl Solver<'_> {
         let planes = self.consistent_search(at, posed, None, Some(&tangent))?;
         let certainty = {
             let search = self.search(at, posed, None, true)?;
-            let costs = self.divided(memory::search_bytes(level), |i| {
-                Ok(search.costs(i, &planes[i]))
+            let variances = self.divided(memory::search_bytes(level), |i| {
+                Ok(search.variances(i, &planes[i]))
             })?;
-            search::certainties(level, &costs)
+            search::certainties(level, &variances)
         };
         let mut surface = log_depths(&planes);
         let scatter_px = start::scatter(level, &surface);

@@ -143,6 +143,22 @@ pub(crate) struct Patch {
     total: f32,
 }
 
+impl Patch {
+    /// Variance of the intensities over their squared mean.
+    pub fn contrast(&self) -> f32 {
+        let (mut s1, mut s2) = (0.0_f32, 0.0_f32);
+        for samples in &self.samples {
+            for (weight, intensity) in samples.weight.iter().zip(&samples.intensity) {
+                s1 += weight * intensity;
+                s2 += weight * intensity * intensity;
+            }
+        }
+        let mean = s1 / self.total;
+        let variance = (s2 / self.total - mean * mean).max(0.0);
+        variance / (mean * mean).max(f32::MIN_POSITIVE)
+    }
+}
+
 /// A patch's pixels about its centre, row by row.
 fn offsets() -> impl Iterator<Item = (i32, i32)> {
     (-RADIUS_PX..=RADIUS_PX).flat_map(|dy| (-RADIUS_PX..=RADIUS_PX).map(move |dx| (dx, dy)))

@@ -148,23 +148,24 @@ pub fn search(
     planes
 }
 
-/// What planes of a view cost in its sources' photos alone, whatever depths were found there.
-pub fn costs(
+/// Variance of the patches about a view's pixels over their squared mean intensity, split into what the sources' photos
+/// share under the pixels' planes, and the rest.
+pub fn variances(
     level: &Level,
     index: usize,
     masks: &[Mask],
     planes: &[Plane],
     options: &SearchOptions,
-) -> Vec<f32> {
+) -> Vec<[f32; 2]> {
     let pixels = &level.views[index].pixels;
-    let compared = (options.mean_deviation, options.num_best);
-    let matcher = Matcher::new(level, index, masks, None, compared);
+    let matcher = Matcher::new(level, index, masks, None, (None, options.num_best));
     let mut patch = Patch::default();
-    let cost = |(i, &plane)| {
+    let split = |(i, &plane)| {
         matcher.take(pixels.xs[i] as i32, pixels.ys[i] as i32, &mut patch);
-        matcher.cost_of(&patch, plane, f32::INFINITY)
+        let unlike = matcher.cost_of(&patch, plane, f32::INFINITY).min(1.0);
+        [1.0 - unlike, unlike].map(|share| share * patch.contrast())
     };
-    planes.iter().enumerate().map(cost).collect()
+    planes.iter().enumerate().map(split).collect()
 }
 
 /// Size of random steps.
@@ -359,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_costs_what_its_patch_lacks_in_structure() {
+    fn photos_share_the_variance_of_patches_under_the_true_planes() {
         let cameras = [-0.1, 0.0, 0.1].map(camera);
         let level = Level::new(
             cameras.iter().map(view).collect(),
@@ -384,16 +385,24 @@ mod tests {
             };
             (0..middle.pixels.len()).map(at).collect()
         };
-        let of = |shift| {
-            let mut costs: Vec<f64> = costs(&level, 1, &masks, &planes(shift), &options)
-                .into_iter()
-                .map(f64::from)
+        let shared = |shift| {
+            let found = variances(&level, 1, &masks, &planes(shift), &options);
+            let mut shares: Vec<f64> = found
+                .iter()
+                .map(|[shared, rest]| f64::from(shared / (shared + rest)))
                 .collect();
-            median(&mut costs).unwrap_or(f64::NAN)
+            median(&mut shares).unwrap_or(f64::NAN)
         };
-        let (right, wrong) = (of(1.0), of(1.1));
-        assert!(right < 0.02, "the true planes cost {right}");
-        assert!(wrong > 0.2, "planes a tenth too near cost {wrong}");
+        let (right, wrong) = (shared(1.0), shared(1.1));
+        assert!(right > 0.98, "under the true planes {right}");
+        assert!(wrong < 0.8, "under planes a tenth too near {wrong}");
+        // Three waves of a twentieth of the mean each: 3 · .05² / 2, less what is slower than a patch.
+        let mut contrasts: Vec<f64> = variances(&level, 1, &masks, &planes(1.0), &options)
+            .iter()
+            .map(|[shared, rest]| f64::from(shared + rest))
+            .collect();
+        let contrast = median(&mut contrasts).unwrap_or(f64::NAN);
+        assert!((0.0005..0.005).contains(&contrast), "{contrast}");
     }
 
     #[test]

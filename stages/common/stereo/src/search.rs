@@ -10,12 +10,12 @@ use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{Mask, Raster};
 
-/// Standard deviation of the Gaussian over the costs from which certainty follows, pixels: about a patch's own.
+/// Standard deviation of the Gaussian over the variances from which certainty follows, pixels: about a patch's own.
 const CERTAINTY_PX: f64 = 3.0;
-/// Least certainty: three times the standard deviation of a usual depth.
+/// Structure over noise from which a depth is certain: patches then correlate by .8.
+const CERTAIN: f32 = 4.0;
+/// Least certainty: three times the standard deviation of a certain depth.
 const MIN_CERTAINTY: f32 = 1.0 / 9.0;
-/// Cost of a patch that shows next to nothing but noise.
-const NOTHING_SEEN: f32 = 0.99;
 
 /// A search of the views of a level, which work it out one by one.
 pub struct Search<'a> {
@@ -81,9 +81,9 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// What planes of view `index` cost in its sources' photos alone.
-    pub fn costs(&self, index: usize, planes: &[Plane]) -> Vec<f32> {
-        patchmatch::costs(self.level, index, &self.masks, planes, &self.options)
+    /// Variances of the patches of view `index`, shared and not ([`patchmatch::variances`]).
+    pub fn variances(&self, index: usize, planes: &[Plane]) -> Vec<[f32; 2]> {
+        patchmatch::variances(self.level, index, &self.masks, planes, &self.options)
     }
 
     /// Planes of view `index`, from earlier ones where there are any.
@@ -112,28 +112,26 @@ impl<'a> Search<'a> {
     }
 }
 
-/// How certain searched depths are, per view and pixel: the inverse of their variance over that of the median pixel's, from
-/// 1/9 to 1; from what their planes cost ([`Search::costs`]).
+/// How certain searched depths are, per view and pixel, from 1/9 to 1: the inverse of their variance over that of a certain
+/// one's; from the patches' variances, shared by the photos and not ([`Search::variances`]).
 ///
-/// A patch whose structure has the variance `v` beside a noise of variance `s²` correlates by `v / (v + s²)` with its
-/// image. So its cost `c` tells the noise over the structure, `s²/v = c / (1 − c)`, with which the variance of a depth
-/// grows. Where it is the median pixel's or less, certainty is 1.
-pub fn certainties(level: &Level, costs: &[Vec<f32>]) -> Vec<Vec<f32>> {
-    let noise: Vec<Vec<f32>> = level
+/// The variance of a depth grows with noise over structure. Structure is what photos share of a patch's variance; noise is
+/// the rest of the median pixel: where a surface bends or ends the rest is larger, and yet no noise.
+pub fn certainties(level: &Level, variances: &[Vec<[f32; 2]>]) -> Vec<Vec<f32>> {
+    let smooth: Vec<Vec<[f32; 2]>> = level
         .views
         .par_iter()
-        .zip(costs)
-        .map(|(view, costs)| {
-            let capped: Vec<[f32; 1]> = costs.iter().map(|c| [c.min(NOTHING_SEEN)]).collect();
-            let all = vec![1.0; costs.len()];
-            let smooth = sampling::smooth(&view.pixels, &capped, &all, CERTAINTY_PX);
-            smooth.iter().map(|[c]| c / (1.0 - c)).collect()
+        .zip(variances)
+        .map(|(view, variances)| {
+            let all = vec![1.0; variances.len()];
+            sampling::smooth(&view.pixels, variances, &all, CERTAINTY_PX)
         })
         .collect();
-    let mut pooled: Vec<f64> = noise.iter().flatten().map(|&v| f64::from(v)).collect();
-    let usual = median(&mut pooled).unwrap_or(1.0) as f32;
-    let certainty = |noise: f32| (usual / noise.max(f32::MIN_POSITIVE)).clamp(MIN_CERTAINTY, 1.0);
-    noise
+    let rests = smooth.iter().flatten().map(|&[_, rest]| f64::from(rest));
+    let noise = median(&mut rests.collect::<Vec<_>>()).unwrap_or(0.0) as f32;
+    let certain = (CERTAIN * noise).max(f32::MIN_POSITIVE);
+    let certainty = |[structure, _]: [f32; 2]| (structure / certain).clamp(MIN_CERTAINTY, 1.0);
+    smooth
         .into_iter()
         .map(|of_view| of_view.into_iter().map(certainty).collect())
         .collect()
@@ -146,22 +144,30 @@ mod tests {
 
     #[test]
     fn certainty_falls_with_noise_over_structure() {
-        let view = flat_view(90, 30, 100.0);
+        const NOISE: f32 = 1e-4;
+        let view = flat_view(120, 30, 100.0);
         let column: Vec<u32> = view.pixels.xs.clone();
         let level = Level::new(vec![view], &[vec![]]);
-        // Noise over structure: 1/9 at the left, 1 in the middle, 9 at the right.
-        let cost = |x: &u32| [0.1, 0.5, 0.9][(*x / 30) as usize];
-        let found = certainties(&level, &[column.iter().map(cost).collect()]);
+        // Structure, a bend with as much of it, half of what is certain, nothing.
+        let variances = |x: &u32| {
+            [
+                [9.0 * NOISE, NOISE],
+                [9.0 * NOISE, 9.0 * NOISE],
+                [2.0 * NOISE, NOISE],
+                [0.0, NOISE],
+            ][(*x / 30) as usize]
+        };
+        let found = certainties(&level, &[column.iter().map(variances).collect()]);
         let at = |x: u32| {
             let p = column.iter().position(|&c| c == x);
             p.map_or(f32::NAN, |p| found[0][p])
         };
-        assert!((at(5) - 1.0).abs() < 1e-3, "{}", at(5));
-        assert!((at(45) - 1.0).abs() < 0.05, "{}", at(45));
-        assert!((at(85) - MIN_CERTAINTY).abs() < 1e-3, "{}", at(85));
-        assert!(at(60) < at(57) && at(60) > at(63));
-        // A patch that no source sees.
-        let unseen = certainties(&level, &[vec![2.0; column.len()]]);
-        assert!(unseen[0].iter().all(|c| (c - 1.0).abs() < 1e-3));
+        assert_eq!([at(5), at(45)], [1.0, 1.0]);
+        assert!((at(75) - 0.5).abs() < 0.02, "{}", at(75));
+        assert_eq!(at(115), MIN_CERTAINTY);
+        assert!(at(88) > at(91));
+        // No photo shows anything.
+        let black = certainties(&level, &[vec![[0.0; 2]; column.len()]]);
+        assert!(black[0].iter().all(|&c| c == MIN_CERTAINTY));
     }
 }
