@@ -25,6 +25,20 @@ fn the_view_that_faces_the_surface_counts_for_more() {
     let terms = (hessian.as_mut_slice(), rhs.as_mut_slice());
     add_terms(&surfaces, 0, &truth[0], 1.0, 0.1, terms);
 
+    // What is a quarter as certain is held a quarter as strongly.
+    let uncertain = vec![vec![0.25; n]; 2];
+    let surfaces = surfaces.with_certainty(Some(&uncertain));
+    let (mut weaker, mut pulls) = (vec![0.0; n], vec![0.0; n]);
+    let terms = (weaker.as_mut_slice(), pulls.as_mut_slice());
+    add_terms(&surfaces, 0, &truth[0], 1.0, 0.1, terms);
+    let pairs = hessian.iter().chain(&rhs).zip(weaker.iter().chain(&pulls));
+    for (sure, unsure) in pairs {
+        assert!(
+            (0.25 * sure - unsure).abs() <= 1e-12 * sure.abs(),
+            "{sure} {unsure}"
+        );
+    }
+
     let (here, other) = (&world.views[0], &world.views[1]);
     let world_from_here = here.cam_from_world.inverse();
     let corner = scene.frames[0].corner;

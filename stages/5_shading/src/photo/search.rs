@@ -57,48 +57,37 @@ impl Solver<'_> {
         disagreement.clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT)
     }
 
-    /// Planes of every view at a level, searched from the planes that `start` returns, and then against what the
-    /// other views found.
-    fn consistent_search(
-        &self,
-        at: usize,
-        posed: &PosedViews,
-        mean_deviation: Option<f32>,
+    /// Planes of every view, searched from those that `start` returns, and then against what the other views found; with
+    /// the search that found them.
+    fn consistent_search<'s>(
+        &'s self,
+        search: Search<'s>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
-        let first = self.dense_search(at, posed, mean_deviation, start, None)?;
-        let found = log_depths(&first);
-        let start = |i: usize| first[i].clone();
-        self.dense_search(at, posed, mean_deviation, Some(&start), Some(&found))
+    ) -> Result<(Search<'s>, Vec<Vec<Plane>>), ShadingError> {
+        let first = self.searched(&search, start)?;
+        let search = search.against(&log_depths(&first));
+        let planes = self.searched(&search, Some(&|i| first[i].clone()))?;
+        Ok((search, planes))
     }
 
-    /// Planes of every view at a level, searched from those that `start` returns, and against the log depths that were
-    /// found before, if any.
-    fn dense_search(
+    /// Planes of every view, searched from those that `start` returns.
+    fn searched(
         &self,
-        at: usize,
-        posed: &PosedViews,
-        mean_deviation: Option<f32>,
+        search: &Search<'_>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-        found: Option<&[Vec<f64>]>,
     ) -> Result<Vec<Vec<Plane>>, ShadingError> {
-        let mut search = self.search(at, posed, mean_deviation, start.is_some())?;
-        if let Some(found) = found {
-            search = search.against(found);
-        }
-        self.divided(memory::search_bytes(self.scene.level(at)), |i| {
+        self.divided(memory::search_bytes(search.level()), |i| {
             let start = start.map(|of_view| of_view(i));
             Ok(search.view(i, start.as_deref()))
         })
     }
 
-    /// The search of a level; `is_started`: from earlier planes.
+    /// A search of a level; `mean_deviation`: as in [`SearchOptions`].
     fn search(
         &self,
         at: usize,
         posed: &PosedViews,
         mean_deviation: Option<f32>,
-        is_started: bool,
     ) -> Result<Search<'_>, ShadingError> {
         let points: Vec<Point3<f64>> = posed
             .points
@@ -113,7 +102,7 @@ impl Solver<'_> {
             seed: self.options.seed,
         };
         let (level, masked) = (self.scene.level(at), self.scene.masked);
-        let search = Search::new(level, masked, &points, is_started, &options);
+        let search = Search::new(level, masked, &points, &options);
         search.ok_or_else(|| ShadingError::NoDepth {
             view: self.scene.frames[0].name.clone(),
         })
@@ -132,7 +121,7 @@ impl Solver<'_> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.progress(PhotoStep::Exposure, 0, 1)?;
-        let planes = self.dense_search(at, posed, None, None, None)?;
+        let planes = self.searched(&self.search(at, posed, None)?, None)?;
         let level = self.scene.level(at);
         let depths = log_depths(&planes);
         let agreement = start::agreement(level, &depths);
@@ -181,7 +170,8 @@ impl Solver<'_> {
             |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
-        let planes = self.consistent_search(at, posed, mean_deviation, start)?;
+        let search = self.search(at, posed, mean_deviation)?;
+        let (_, planes) = self.consistent_search(search, start)?;
         let depths = log_depths(&planes);
         let agreement = start::agreement(level, &depths);
         let surface = self.continued(at, &depths, &agreement)?;
@@ -206,14 +196,12 @@ impl Solver<'_> {
         self.progress(PhotoStep::FinerSearch, 0, 1)?;
         let level = self.scene.level(at);
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
-        let planes = self.consistent_search(at, posed, None, Some(&tangent))?;
-        let certainty = {
-            let search = self.search(at, posed, None, true)?;
-            let variances = self.divided(memory::search_bytes(level), |i| {
-                Ok(search.variances(i, &planes[i]))
-            })?;
-            search::certainties(level, &variances)
-        };
+        let search = self.search(at, posed, None)?;
+        let (search, planes) = self.consistent_search(search, Some(&tangent))?;
+        let variances = self.divided(memory::search_bytes(level), |i| {
+            Ok(search.variances(i, &planes[i]))
+        })?;
+        let certainty = search::certainties(level, &variances);
         let mut surface = log_depths(&planes);
         let scatter_px = start::scatter(level, &surface);
         let agreement = start::agreement(level, &surface);

@@ -149,16 +149,16 @@ pub fn search(
 }
 
 /// Variance of the patches about a view's pixels over their squared mean intensity, split into what the sources' photos
-/// share under the pixels' planes, and the rest.
+/// share under the pixels' planes, and the rest; `num_best`: sources that count, the best ones.
 pub fn variances(
     level: &Level,
     index: usize,
     masks: &[Mask],
     planes: &[Plane],
-    options: &SearchOptions,
+    num_best: usize,
 ) -> Vec<[f32; 2]> {
     let pixels = &level.views[index].pixels;
-    let matcher = Matcher::new(level, index, masks, None, (None, options.num_best));
+    let matcher = Matcher::new(level, index, masks, None, (None, num_best));
     let mut patch = Patch::default();
     let split = |(i, &plane)| {
         matcher.take(pixels.xs[i] as i32, pixels.ys[i] as i32, &mut patch);
@@ -342,9 +342,18 @@ mod tests {
         LevelView::from_photo(camera, &image, &Raster::filled(SIZE.0, SIZE.1, true), 1.0).0
     }
 
+    /// What three cameras side by side see, each compared with its neighbours.
+    fn level_of(view: impl Fn(&Camera) -> LevelView) -> Level {
+        let views = [-0.1, 0.0, 0.1].map(|x| view(&camera(x))).into();
+        Level::new(views, &[vec![1], vec![0, 2], vec![1]])
+    }
+
+    fn masks(level: &Level) -> Vec<Mask> {
+        level.views.iter().map(|v| v.mask.clone()).collect()
+    }
+
     /// The planes that are found in the middle one of three views.
     fn planes_of_middle(level: &Level, mean_deviation: Option<f32>) -> Vec<Plane> {
-        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
         let range = InverseDepthRange {
             low: 0.7,
             high: 1.1,
@@ -356,62 +365,42 @@ mod tests {
             seed: 0,
         };
         let ranges = vec![range; level.views[1].pixels.len()];
-        search(level, 1, &masks, &ranges, None, None, &options)
+        search(level, 1, &masks(level), &ranges, None, None, &options)
     }
 
     #[test]
     fn photos_share_the_variance_of_patches_under_the_true_planes() {
-        let cameras = [-0.1, 0.0, 0.1].map(camera);
-        let level = Level::new(
-            cameras.iter().map(view).collect(),
-            &[vec![1], vec![0, 2], vec![1]],
-        );
-        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
-        let options = SearchOptions {
-            mean_deviation: None,
-            num_sweeps: 1,
-            num_best: 1,
-            seed: 0,
-        };
-        let middle = &level.views[1];
-        let planes = |shift: f64| -> Vec<Plane> {
+        let level = level_of(view);
+        let (middle, masks) = (&level.views[1], masks(&level));
+        // Under planes that lie nearer by `factor`: the median variance, and the share of it that photos share.
+        let found = |factor: f64| {
             let at = |p| {
                 let (x, y) = middle.xy(p);
                 Plane {
-                    inverse_depth: (shift / hit(&cameras[1], x, y)) as f32,
+                    inverse_depth: (factor / hit(&middle.camera, x, y)) as f32,
                     slope_x: 0.0,
                     slope_y: 0.0,
                 }
             };
-            (0..middle.pixels.len()).map(at).collect()
+            let planes: Vec<Plane> = (0..middle.pixels.len()).map(at).collect();
+            let (mut whole, mut shares): (Vec<f64>, Vec<f64>) =
+                variances(&level, 1, &masks, &planes, 1)
+                    .into_iter()
+                    .map(|parts| parts.map(f64::from))
+                    .map(|[shared, rest]| (shared + rest, shared / (shared + rest)))
+                    .unzip();
+            [&mut whole, &mut shares].map(|values| median(values).unwrap_or(f64::NAN))
         };
-        let shared = |shift| {
-            let found = variances(&level, 1, &masks, &planes(shift), &options);
-            let mut shares: Vec<f64> = found
-                .iter()
-                .map(|[shared, rest]| f64::from(shared / (shared + rest)))
-                .collect();
-            median(&mut shares).unwrap_or(f64::NAN)
-        };
-        let (right, wrong) = (shared(1.0), shared(1.1));
+        let ([contrast, right], [_, wrong]) = (found(1.0), found(1.1));
         assert!(right > 0.98, "under the true planes {right}");
         assert!(wrong < 0.8, "under planes a tenth too near {wrong}");
         // Three waves of a twentieth of the mean each: 3 · .05² / 2, less what is slower than a patch.
-        let mut contrasts: Vec<f64> = variances(&level, 1, &masks, &planes(1.0), &options)
-            .iter()
-            .map(|[shared, rest]| f64::from(shared + rest))
-            .collect();
-        let contrast = median(&mut contrasts).unwrap_or(f64::NAN);
         assert!((0.0005..0.005).contains(&contrast), "{contrast}");
     }
 
     #[test]
     fn depth_breaks_where_brightness_does() {
-        let cameras = [-0.1, 0.0, 0.1].map(camera);
-        let level = Level::new(
-            cameras.iter().map(view).collect(),
-            &[vec![1], vec![0, 2], vec![1]],
-        );
+        let level = level_of(view);
         let middle = &level.views[1];
         let planes = planes_of_middle(&level, None);
         // Pixels within four of the edge, and away from the frame.
@@ -420,7 +409,7 @@ mod tests {
             let (x, y) = middle.xy(p);
             let from_edge = (x - 55.5).abs();
             if (0.6..4.0).contains(&from_edge) && (6.0..34.0).contains(&y) {
-                let truth = hit(&cameras[1], x, y);
+                let truth = hit(&middle.camera, x, y);
                 all += 1;
                 right += usize::from((plane.inverse_depth * truth as f32 - 1.0).abs() < 0.02);
             }
@@ -436,7 +425,6 @@ mod tests {
     #[test]
     fn an_even_rise_of_brightness_is_found_by_its_means() {
         const DEPTH: f64 = 1.15;
-        let cameras = [-0.1, 0.0, 0.1].map(camera);
         let even = |camera: &Camera| {
             let mut image = LinearImage::filled(SIZE.0, SIZE.1, 3, 0.0);
             for (x, y) in (0..SIZE.1).flat_map(|y| (0..SIZE.0).map(move |x| (x, y))) {
@@ -445,10 +433,7 @@ mod tests {
             }
             LevelView::from_photo(camera, &image, &Raster::filled(SIZE.0, SIZE.1, true), 1.0).0
         };
-        let level = Level::new(
-            cameras.iter().map(even).collect(),
-            &[vec![1], vec![0, 2], vec![1]],
-        );
+        let level = level_of(even);
         let error = |mean_deviation| {
             let planes = planes_of_middle(&level, mean_deviation);
             let errors = planes

@@ -31,15 +31,12 @@ pub struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    /// Views are compared with their sources; `is_started`: there are earlier planes to start from.
-    ///
     /// The object lies where the masks meet if all views are `masked`, else about `points` in the world. `None`
     /// where neither is known.
     pub fn new(
         level: &'a Level,
         masked: bool,
         points: &[Point3<f64>],
-        is_started: bool,
         options: &SearchOptions,
     ) -> Option<Self> {
         let outlines: Vec<Outline> = level.views.iter().map(|v| v.outline(masked)).collect();
@@ -51,23 +48,19 @@ impl<'a> Search<'a> {
             .iter()
             .map(|v| hull::dilate(&v.mask, 1))
             .collect();
-        let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
-        let mut options = *options;
-        if is_started {
-            // Planes need to be spread and polished only.
-            options.num_sweeps = options.num_sweeps.div_ceil(2);
-            // Beside an edge some sources see another surface: the better half shows depth (Kang,
-            // Szeliski, Chai, CVPR 2001). A search without a start needs more.
-            options.num_best = num_sources.div_ceil(2);
-        }
         Some(Self {
             level,
             outlines,
             masks,
             ranges,
-            options,
+            options: *options,
             found: None,
         })
+    }
+
+    /// The level that is searched.
+    pub fn level(&self) -> &Level {
+        self.level
     }
 
     /// With the log depths that were found in every view before, which planes are held against.
@@ -83,7 +76,14 @@ impl<'a> Search<'a> {
 
     /// Variances of the patches of view `index`, shared and not ([`patchmatch::variances`]).
     pub fn variances(&self, index: usize, planes: &[Plane]) -> Vec<[f32; 2]> {
-        patchmatch::variances(self.level, index, &self.masks, planes, &self.options)
+        patchmatch::variances(self.level, index, &self.masks, planes, self.better_half())
+    }
+
+    /// Sources that count around planes that are about right: beside an edge some see another surface, and the better
+    /// half shows depth (Kang, Szeliski, Chai, CVPR 2001). A search without a start needs more.
+    fn better_half(&self) -> usize {
+        let num_sources = self.level.sources.iter().map(Vec::len).max();
+        num_sources.unwrap_or(1).div_ceil(2)
     }
 
     /// Planes of view `index`, from earlier ones where there are any.
@@ -100,6 +100,12 @@ impl<'a> Search<'a> {
             .into_iter()
             .map(|range| range.unwrap_or(whole))
             .collect();
+        let mut options = self.options;
+        if start.is_some() {
+            // Planes need to be spread and polished only.
+            options.num_sweeps = options.num_sweeps.div_ceil(2);
+            options.num_best = self.better_half();
+        }
         patchmatch::search(
             self.level,
             index,
@@ -107,7 +113,7 @@ impl<'a> Search<'a> {
             &ranges,
             start,
             self.found.as_deref(),
-            &self.options,
+            &options,
         )
     }
 }
