@@ -13,6 +13,7 @@ use super::solver::Solver;
 use crate::error::ShadingError;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::StatePart;
+use rilievo_stereo::searched_depths::SearchedDepths;
 use rilievo_stereo::stored::StoredSurface;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -54,6 +55,8 @@ pub(crate) struct Outcome {
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct OuterIterations {
     pub ground: Option<Ground>,
+    /// What the search at the coarse level found.
+    pub searched: SearchedDepths,
     /// Those that are done.
     pub num_done: usize,
     /// The first of them, which run at half the coarse level's resolution.

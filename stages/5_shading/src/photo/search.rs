@@ -26,6 +26,7 @@ use rilievo_stereo::gains;
 use rilievo_stereo::patch_cost::Plane;
 use rilievo_stereo::patchmatch::{self, SearchOptions};
 use rilievo_stereo::search::{self, Search};
+use rilievo_stereo::searched_depths::SearchedDepths;
 use rilievo_stereo::start;
 use std::time::Instant;
 
@@ -57,17 +58,17 @@ impl Solver<'_> {
         disagreement.clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT)
     }
 
-    /// Planes of every view, searched from those that `start` returns, and then against what the other views found; with
-    /// the search that found them.
+    /// Planes of every view, searched from those that `start` returns, each by itself and then against what the other views
+    /// found; with the search that found the latter.
     fn consistent_search<'s>(
         &'s self,
         search: Search<'s>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-    ) -> Result<(Search<'s>, Vec<Vec<Plane>>), ShadingError> {
+    ) -> Result<(Search<'s>, [Vec<Vec<Plane>>; 2]), ShadingError> {
         let first = self.searched(&search, start)?;
         let search = search.against(&log_depths(&first));
         let planes = self.searched(&search, Some(&|i| first[i].clone()))?;
-        Ok((search, planes))
+        Ok((search, [first, planes]))
     }
 
     /// Planes of every view, searched from those that `start` returns.
@@ -154,12 +155,12 @@ impl Solver<'_> {
         Ok(planes)
     }
 
-    /// The surface that the views agree on, continued over their masks.
+    /// The surface that the views agree on, continued over their masks; and what they found.
     pub fn find_surface(
         &mut self,
         posed: &PosedViews,
         planes: &[Vec<Plane>],
-    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+    ) -> Result<(Vec<Vec<f64>>, SearchedDepths), ShadingError> {
         let began = Instant::now();
         let at = self.scene.coarse;
         self.progress(PhotoStep::Search, 0, 1)?;
@@ -172,7 +173,7 @@ impl Solver<'_> {
             (at + 1 < self.scene.num_levels()).then_some(&start);
         let search = self.search(at, posed, mean_deviation)?;
         let (_, planes) = self.consistent_search(search, start)?;
-        let depths = log_depths(&planes);
+        let [alone, depths] = planes.map(|planes| log_depths(&planes));
         let agreement = start::agreement(level, &depths);
         let surface = self.continued(at, &depths, &agreement)?;
         self.report.search_scatter_px = start::scatter(level, &depths);
@@ -181,7 +182,8 @@ impl Solver<'_> {
             view.confirmed = confirmed as f64 / agreement.len().max(1) as f64;
         }
         self.report.add_step(PhotoStep::Search, at, began);
-        Ok(surface)
+        let searched = SearchedDepths::new(&alone, &depths, &agreement, NUM_BEST);
+        Ok((surface, searched))
     }
 
     /// The surface at level `at`, searched around `depths`: the mean of what the views find. What no view confirms stays.
@@ -197,7 +199,7 @@ impl Solver<'_> {
         let level = self.scene.level(at);
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
         let search = self.search(at, posed, None)?;
-        let (search, planes) = self.consistent_search(search, Some(&tangent))?;
+        let (search, [_, planes]) = self.consistent_search(search, Some(&tangent))?;
         let variances = self.divided(memory::search_bytes(level), |i| {
             Ok(search.variances(i, &planes[i]))
         })?;

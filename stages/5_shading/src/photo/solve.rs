@@ -116,7 +116,7 @@ impl Solver<'_> {
         lighting: &LightingCalibration,
     ) -> Result<Progress, ShadingError> {
         let planes = self.find_exposure(posed, lighting.kind)?;
-        let mut depths = self.find_surface(posed, &planes)?;
+        let (mut depths, searched) = self.find_surface(posed, &planes)?;
         let at = self.scene.coarse;
         self.show(at, "start", &depths)?;
         let solvers = self.shared_solvers(at);
@@ -144,6 +144,7 @@ impl Solver<'_> {
         };
         let mut outer = OuterIterations {
             ground,
+            searched,
             num_done: 0,
             num_half,
             kept: None,
@@ -220,6 +221,13 @@ impl Solver<'_> {
         if number > 0 {
             shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
             self.show(at, "fused", &shape.depths)?;
+            if at == self.scene.coarse {
+                // A light that the model lacks has bent the surface.
+                shape.depths = outer
+                    .searched
+                    .corrected(self.scene.level(at), &shape.depths);
+                self.show(at, "corrected", &shape.depths)?;
+            }
         }
         let solvers = self.shared_solvers(at);
         let mut light = self.light(at, &shape.depths, posed, lighting, outer.ground.as_ref())?;

@@ -6,6 +6,7 @@
 //! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
 //! * [`hull`], [`patch_cost`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
+//! * [`searched_depths`]: the slow part of a surface's error, which searches of single views show together.
 //! * [`stored`], [`tile`]: fine levels out of core, and parts of them, for what is local there.
 //! * [`openness`]: the share of its light that the relief around a pixel leaves it.
 //! * [`specks`]: pixels whose normals stand out from all around them.
@@ -30,6 +31,7 @@ pub mod plate;
 pub mod rectify;
 pub mod sampling;
 pub mod search;
+pub mod searched_depths;
 pub mod sharpness;
 pub mod sightings;
 pub mod specks;

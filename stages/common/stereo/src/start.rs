@@ -8,8 +8,8 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{Functional, OUTSIDE, PlateError, PlateSystem};
 use rilievo_numerics::robust::{log_weight, median};
 
-/// Difference within which two views' searched depths agree, pixel footprints.
-const AGREEMENT_PX: f64 = 2.7;
+/// Difference within which two views' depths agree, pixel footprints.
+pub(crate) const AGREEMENT_PX: f64 = 2.7;
 /// Difference beyond which two views' depths belong to different surfaces, pixel footprints.
 const MAX_SCATTER_PX: f64 = 10.0;
 
