@@ -18,8 +18,8 @@
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`, `rim`
 //! and `shading` against the other views' `surfaces`, first without shading, then in outer
 //! iterations of light and shape (`environment`, `distant`) at half the coarse resolution and at
-//! the coarse one, where the slow error that the views' searches share is taken off before each light
-//! (`searched_depths`), with the pigment divided out (`albedo`) and shading judged by photos that are
+//! the coarse one, where the slow error that the views' searches share is taken off before each light but
+//! the first (`searched_depths`), with the pigment divided out (`albedo`) and shading judged by photos that are
 //! left out (`validation`); finer levels, searched once more where photos disagree (fused before
 //! they are solved) and fused at the end (`consensus`); relief at the photos' own pixels, tile by
 //! tile (`relief`); and what shape, light and pigment explain of the photos (`appearance`,

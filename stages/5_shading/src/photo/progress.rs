@@ -154,6 +154,11 @@ impl Solver<'_> {
         if !self.fits(report, &progress.shape) {
             return None;
         }
+        if let Phase::Outer(outer) = &progress.phase
+            && !outer.searched.fits(self.scene.level(self.scene.coarse))
+        {
+            return None;
+        }
         let light: Option<Light> = if *has_light {
             self.around.checkpoint.read(LIGHT).and_then(read)?
         } else {

@@ -47,6 +47,9 @@ const NUM_FUSIONS: usize = 2;
 /// Distance within which they are fused, footprints: searched depths scatter more than solved ones.
 const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
+/// Planes about the pixels of all views.
+type Planes = Vec<Vec<Plane>>;
+
 impl Solver<'_> {
     /// Whether brightness is so far from constant that single pixels are no match.
     pub fn photos_disagree(&self) -> bool {
@@ -64,7 +67,7 @@ impl Solver<'_> {
         &'s self,
         search: Search<'s>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-    ) -> Result<(Search<'s>, [Vec<Vec<Plane>>; 2]), ShadingError> {
+    ) -> Result<(Search<'s>, [Planes; 2]), ShadingError> {
         let first = self.searched(&search, start)?;
         let search = search.against(&log_depths(&first));
         let planes = self.searched(&search, Some(&|i| first[i].clone()))?;
@@ -76,7 +79,7 @@ impl Solver<'_> {
         &self,
         search: &Search<'_>,
         start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
-    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
+    ) -> Result<Planes, ShadingError> {
         self.divided(memory::search_bytes(search.level()), |i| {
             let start = start.map(|of_view| of_view(i));
             Ok(search.view(i, start.as_deref()))
@@ -118,7 +121,7 @@ impl Solver<'_> {
         &mut self,
         posed: &PosedViews,
         kind: LightKind,
-    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
+    ) -> Result<Planes, ShadingError> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.progress(PhotoStep::Exposure, 0, 1)?;
@@ -182,7 +185,7 @@ impl Solver<'_> {
             view.confirmed = confirmed as f64 / agreement.len().max(1) as f64;
         }
         self.report.add_step(PhotoStep::Search, at, began);
-        let searched = SearchedDepths::new(&alone, &depths, &agreement, NUM_BEST);
+        let searched = SearchedDepths::new(&alone, &depths, &agreement);
         Ok((surface, searched))
     }
 

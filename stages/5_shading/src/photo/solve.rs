@@ -222,7 +222,7 @@ impl Solver<'_> {
             shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
             self.show(at, "fused", &shape.depths)?;
             if at == self.scene.coarse {
-                // A light that the model lacks has bent the surface.
+                // What the last light could not explain has bent the surface, and the next light would follow the bend.
                 shape.depths = outer
                     .searched
                     .corrected(self.scene.level(at), &shape.depths);
