@@ -100,6 +100,8 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
     };
     let photographs = &mut options.photographs;
     take_over(&mut options.scene.seed, args.seed);
+    take_over(&mut options.scene.lamps_at_m, args.near.map(Some));
+    take_over(&mut options.scene.gloss, args.gloss);
     take_over(&mut photographs.num_views, args.views);
     if let Some((width, height)) = args.size {
         (photographs.width, photographs.height) = (width, height);

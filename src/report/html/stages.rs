@@ -328,7 +328,13 @@ fn trust(facts: &PhotoReport) -> Markup {
         ("specks in the result", &|v| percent(v.specks[1], 3)),
     ];
     html! {
-        p { (facts.shading) }
+        p {
+            (facts.shading)
+            @if let Some(distance) = facts.light_distance() {
+                "; the light is nearby, about " (number(distance, 2))
+                " from the middle of the object (world's unit)"
+            }
+        }
         @if let Some(validation) = &facts.validation {
             @let [without, with] = validation.squared_residual;
             p {

@@ -30,6 +30,8 @@ pub(crate) struct Light {
     /// Exponent of openness, as the photos show it ([`hidden_light`]); none where the light moves with the camera or
     /// is taken to cast no shadow.
     pub openness_exponent: Option<f32>,
+    /// Distance of the light from the middle of the object, world's unit; none where it may be endlessly far.
+    pub distance: Option<f64>,
 }
 
 /// Relative depth, in pixel footprints, at which another view's intensity counts half.
@@ -55,6 +57,7 @@ impl Light {
                 LightKind::Camera => 0.0,
             },
             openness_exponent: None,
+            distance: None,
         };
         light.measure_residuals(level, normals);
         light

@@ -40,6 +40,7 @@ mod findings;
 mod hidden_light;
 mod known_light;
 mod light;
+mod light_distance;
 #[cfg(test)]
 mod light_tests;
 mod matching;

@@ -102,6 +102,7 @@ impl Solver<'_> {
         step.light = light.as_ref().map(|light| LightFacts {
             residual: light.residual(),
             openness_exponent: light.openness_exponent,
+            distance: light.distance,
             has_ground: ground.is_some(),
         });
         Ok(light)

@@ -87,6 +87,9 @@ pub struct LightFacts {
     pub residual: f64,
     /// Exponent of openness, where it was measured.
     pub openness_exponent: Option<f32>,
+    /// Distance of the light from the middle of the object, world's unit, where it is not endlessly far.
+    #[serde(default)]
+    pub distance: Option<f64>,
     /// Whether a ground lay under the object.
     pub has_ground: bool,
 }
@@ -122,6 +125,16 @@ pub struct PhotoReport {
 }
 
 impl PhotoReport {
+    /// Distance of the light that was fitted last from the middle of the object, world's unit; `None` where it may be endlessly
+    /// far.
+    pub fn light_distance(&self) -> Option<f64> {
+        self.steps
+            .iter()
+            .rev()
+            .find_map(|step| step.light)?
+            .distance
+    }
+
     /// Adds a step that ends now.
     pub(crate) fn add_step(
         &mut self,

@@ -1,13 +1,14 @@
-//! Reference spheres in the photo model: one that sees another light, and a light fixed to the camera.
+//! Reference spheres in the photo model: one that sees another light, lamps nearby, and a light fixed to the camera.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::distant;
 use super::environment::{self, LightScene};
 use super::known_light::KnownLight;
 use super::light::Light;
 use super::rendered_tests::{World, depths, known_light, loaded, miss, options, photographed};
 use super::views::Scene;
+use super::{distant, surround};
+use nalgebra::Point3;
 use rilievo_scene::{Alone, LightKind};
 use rilievo_synthetic::{BallOptions, LightModel, Subject};
 
@@ -128,4 +129,57 @@ fn a_light_fixed_to_the_camera_is_found_with_its_shadows() {
         "{camera}, nine {nine}"
     );
     assert!(world > 1.5 * camera, "world {world}, camera {camera}");
+}
+
+/// The light of a stone on its mat under lamps at a distance, at the true shape, and what it misses.
+fn lit_from(distance_m: Option<f64>, turntable: bool) -> (Option<f64>, f64) {
+    let (mut scene, mut render) = options(Subject::Stone, LightModel::Bounce, (200, 150));
+    scene.mesh_spacing_m = 0.006;
+    render.num_views = 3;
+    scene.lamps_at_m = distance_m;
+    render.turntable = turntable;
+    let kind = if turntable {
+        LightKind::Camera
+    } else {
+        LightKind::World
+    };
+    let world = photographed(scene, &render, None);
+    let scene = loaded(&world);
+    let truth = depths(&world, &scene);
+    let level = &scene.pyramid[0];
+    let mat = (0..900).map(|i| [f64::from(i % 30), f64::from(i / 30)].map(|c| 0.02 * (c - 14.5)));
+    let mat: Vec<Point3<f64>> = mat.map(|[x, y]| Point3::new(x, y, 0.0)).collect();
+    let views = level.views.iter().zip(&truth);
+    let object = views.flat_map(|(view, depth)| {
+        (0..view.pixels.len()).step_by(29).map(|p| {
+            let (x, y) = view.xy(p);
+            view.camera.unproject(x, y, depth[p].exp())
+        })
+    });
+    let object: Vec<Point3<f64>> = object.collect();
+    let ground = surround::find_ground(&mat, &object, &scene.small);
+    let known = known_light(&world.photos, &world.posed, kind, &[]);
+    let light_scene = LightScene {
+        known: &known,
+        ground: ground.as_ref(),
+        num_rays: 256,
+        team: &Alone,
+    };
+    let light = environment::visible(level, &truth, &scene.pyramid[1], &light_scene);
+    let light = light.unwrap().unwrap();
+    (light.distance, miss(level, &truth, &light))
+}
+
+#[test]
+fn lamps_nearby_light_the_object_as_well_as_far_ones() {
+    let (far, usual) = lit_from(None, false);
+    println!("far: {far:?}, misses {usual:.4}");
+    assert_eq!(far, None);
+    for turntable in [false, true] {
+        let (found, misses) = lit_from(Some(0.9), turntable);
+        println!(".9 m: {found:.3?}, misses {misses:.4}");
+        let found = found.unwrap_or(f64::INFINITY);
+        assert!((0.6..1.2).contains(&found), "{found}");
+        assert!(misses < 1.25 * usual, "{misses}, far away {usual}");
+    }
 }

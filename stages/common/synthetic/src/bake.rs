@@ -87,10 +87,13 @@ impl Bake {
             })
             .collect();
         let gather = |shine: &(dyn Fn(&Target) -> Rgb + Sync)| {
-            let mut parts = hits.iter().map(|group| {
+            let sites = groups.iter().map(|(_, sites)| sites);
+            let mut parts = sites.zip(&hits).map(|group| {
                 group
+                    .1
                     .par_iter()
-                    .map(|hits| deficit(scene.environment, hits, num_rays, shine))
+                    .zip(group.0)
+                    .map(|(hits, site)| deficit(scene.environment, (site, hits), num_rays, shine))
                     .collect::<Vec<_>>()
             });
             let mut next = || parts.next().unwrap_or_default();
@@ -106,22 +109,28 @@ impl Bake {
         // The mat itself shines in the first round too: without that every surface near it would
         // lose the light from below that `E_env` promises.
         let mat_albedo = Mat::mean_albedo();
-        let unshadowed = scene.environment.irradiance(&Vector3::z());
+        let unshadowed = |x: f64, y: f64| {
+            let at = Point3::new(x, y, 0.0);
+            scene.environment.irradiance(&at, &Vector3::z())
+        };
         let first = gather(&|target| match target {
-            Target::Mat { .. } => unshadowed.component_mul(&mat_albedo),
+            Target::Mat { x, y } => unshadowed(*x, *y).component_mul(&mat_albedo),
             _ => Rgb::zeros(),
         });
         if !bounce {
             return first;
         }
         gather(&|target| match target {
-            Target::Mat { x, y } => (unshadowed - first.on_mat(*x, *y) * Vector3::z())
+            Target::Mat { x, y } => (unshadowed(*x, *y) - first.on_mat(*x, *y) * Vector3::z())
                 .component_mul(&mat_albedo)
                 .sup(&Rgb::zeros()),
-            Target::Sphere { idx, normal } => (scene.environment.irradiance(normal)
-                - first.on_sphere(*idx, normal) * normal)
-                .component_mul(&scene.albedo)
-                .sup(&Rgb::zeros()),
+            Target::Sphere { idx, normal } => {
+                let sphere = &scene.spheres[*idx];
+                let at = Point3::from(sphere.center_in_world) + normal * sphere.radius;
+                (scene.environment.irradiance(&at, normal) - first.on_sphere(*idx, normal) * normal)
+                    .component_mul(&scene.albedo)
+                    .sup(&Rgb::zeros())
+            }
             Target::Object { triangle } => {
                 let [a, b, c] = scene.mesh.triangles[*triangle as usize];
                 let normal = [a, b, c]
@@ -130,7 +139,8 @@ impl Bake {
                     .sum::<Vector3<f64>>()
                     .normalize();
                 let shadow = first.on_object([a, b, c], [1.0 / 3.0; 2]);
-                (scene.environment.irradiance(&normal) - shadow * normal)
+                let at = Point3::from(scene.mesh.vertices[a as usize].map(f64::from));
+                (scene.environment.irradiance(&at, &normal) - shadow * normal)
                     .component_mul(&scene.albedo)
                     .sup(&Rgb::zeros())
             }
@@ -329,7 +339,7 @@ fn first_target(
 
 fn deficit(
     environment: &Environment,
-    hits: &Hits,
+    (site, hits): (&Site, &Hits),
     num_rays: usize,
     shine: &(dyn Fn(&Target) -> Rgb + Sync),
 ) -> Deficit {
@@ -337,7 +347,9 @@ fn deficit(
     let weight = 2.0 / num_rays as f64;
     hits.iter()
         .map(|(direction, target)| {
-            (environment.radiance(direction) - shine(target)) * direction.transpose() * weight
+            (environment.radiance(&site.position, direction) - shine(target))
+                * direction.transpose()
+                * weight
         })
         .sum()
 }

@@ -5,12 +5,16 @@
 //! of the mat, `L = ρ_mat E(ẑ)`. Irradiance over π on an unshadowed surface, `E(n) = 1/π ∫ L(ω)
 //! max(0, n·ω) dω`, is tabulated; a surface of albedo ρ then shines with `ρ E(n)`.
 //!
+//! Lamps nearby are the same lobes painted on a glowing dome of radius `D` around the middle of the object, matte and so of one
+//! radiance from everywhere: along `ω` from the place `x` comes what the dome shows where that ray meets it. Their share of the
+//! irradiance is summed over cells of the dome.
+//!
 //! The nine harmonics are the least-squares fit of eq. 1 to `E` over all normals; Basri and Jacobs
 //! (PAMI 2003) bound what it leaves at 2 % for distant light.
 
 use crate::noise::unit;
 use crate::options::Illumination;
-use nalgebra::{Rotation3, SMatrix, SVector, Vector3};
+use nalgebra::{Point3, Rotation3, SMatrix, SVector, Vector3};
 use rilievo_scene::SphericalHarmonics;
 
 /// Red, green, blue.
@@ -32,6 +36,48 @@ pub(crate) struct Environment {
     ground: Rgb,
     /// Irradiance over π on an octahedral grid of normals.
     table: Vec<Rgb>,
+    /// Where the lobes are lamps nearby.
+    near: Option<Near>,
+}
+
+/// Lamps nearby.
+#[derive(Clone, Debug)]
+struct Near {
+    /// Middle of the object, world.
+    middle: Point3<f64>,
+    /// Radius of the dome.
+    radius: f64,
+    /// Directions of the bright cells from the middle, with their radiance.
+    cells: Vec<(Vector3<f64>, Rgb)>,
+    /// Irradiance over π of all but them.
+    room: Vec<Rgb>,
+}
+
+impl Near {
+    /// Direction from the middle of what a ray from a place within the dome meets.
+    fn met(&self, place: &Point3<f64>, direction: &Vector3<f64>) -> Vector3<f64> {
+        let offset = (place - self.middle) / self.radius;
+        let along = offset.dot(direction);
+        let t = -along
+            + (along * along + 1.0 - offset.norm_squared())
+                .max(0.0)
+                .sqrt();
+        offset + direction * t
+    }
+
+    /// Irradiance over π of the bright cells.
+    fn irradiance(&self, place: &Point3<f64>, n: &Vector3<f64>) -> Rgb {
+        let offset = (self.middle - place) / self.radius;
+        let mut sum = Rgb::zeros();
+        for (cell, radiance) in &self.cells {
+            let way = cell + offset;
+            let (cosine, facing) = (way.dot(n), way.dot(cell));
+            if cosine > 0.0 && facing > 0.0 {
+                sum += radiance * (cosine * facing / way.norm_squared().powi(2));
+            }
+        }
+        sum * (4.0 / NUM_DIRECTIONS as f64)
+    }
 }
 
 /// Side of the table; bilinear interpolation then errs by less than 3e-4 of the irradiance.
@@ -69,6 +115,51 @@ fn from_octahedral(x: f64, y: f64) -> Vector3<f64> {
         z,
     )
     .normalize()
+}
+
+impl Lobe {
+    /// Nothing comes through the mat.
+    fn radiance(&self, direction: &Vector3<f64>) -> Rgb {
+        if direction.z < 0.0 {
+            return Rgb::zeros();
+        }
+        let fall = self.concentration * (direction.dot(&self.direction) - 1.0);
+        self.color * fall.exp()
+    }
+}
+
+/// Irradiance over π of an unshadowed surface under a radiance.
+fn integrate(n: &Vector3<f64>, radiance: impl Fn(&Vector3<f64>) -> Rgb) -> Rgb {
+    let mut sum = Rgb::zeros();
+    for k in 0..NUM_DIRECTIONS {
+        let direction = fibonacci(k, NUM_DIRECTIONS);
+        let cosine = n.dot(&direction);
+        if cosine > 0.0 {
+            sum += radiance(&direction) * cosine;
+        }
+    }
+    sum * (4.0 / NUM_DIRECTIONS as f64)
+}
+
+/// [`integrate`] on the octahedral grid of normals.
+fn table(radiance: impl Fn(&Vector3<f64>) -> Rgb) -> Vec<Rgb> {
+    let coordinate = |i: usize| 2.0 * i as f64 / (TABLE - 1) as f64 - 1.0;
+    let normal = |i: usize| from_octahedral(coordinate(i % TABLE), coordinate(i / TABLE));
+    (0..TABLE * TABLE)
+        .map(|i| integrate(&normal(i), &radiance))
+        .collect()
+}
+
+/// A table's value at a normal.
+fn read(table: &[Rgb], n: &Vector3<f64>) -> Rgb {
+    let (x, y) = octahedral(n);
+    let scaled = |c: f64| (0.5 * (c + 1.0) * (TABLE - 1) as f64).clamp(0.0, (TABLE - 1) as f64);
+    let (x, y) = (scaled(x), scaled(y));
+    let (i, j) = ((x as usize).min(TABLE - 2), (y as usize).min(TABLE - 2));
+    let (fx, fy) = (x - i as f64, y - j as f64);
+    let at = |i: usize, j: usize| table[j * TABLE + i];
+    (at(i, j) * (1.0 - fx) + at(i + 1, j) * fx) * (1.0 - fy)
+        + (at(i, j + 1) * (1.0 - fx) + at(i + 1, j + 1) * fx) * fy
 }
 
 impl Environment {
@@ -154,60 +245,71 @@ impl Environment {
             horizon,
             ground: Rgb::zeros(),
             table: Vec::new(),
+            near: None,
         };
         // The ground's own radiance does not light a surface that faces straight up.
-        let up = environment.integrate(&Vector3::z());
+        let up = integrate(&Vector3::z(), |d| environment.far_radiance(d));
         environment.ground = up.component_mul(&mat_albedo);
-        let coordinate = |i: usize| 2.0 * i as f64 / (TABLE - 1) as f64 - 1.0;
-        environment.table = (0..TABLE * TABLE)
-            .map(|i| {
-                environment.integrate(&from_octahedral(
-                    coordinate(i % TABLE),
-                    coordinate(i / TABLE),
-                ))
-            })
-            .collect();
+        environment.table = table(|d| environment.far_radiance(d));
         environment
     }
 
-    fn integrate(&self, n: &Vector3<f64>) -> Rgb {
-        let mut sum = Rgb::zeros();
-        for k in 0..NUM_DIRECTIONS {
-            let direction = fibonacci(k, NUM_DIRECTIONS);
-            let cosine = n.dot(&direction);
-            if cosine > 0.0 {
-                sum += self.radiance(&direction) * cosine;
-            }
-        }
-        sum * (4.0 / NUM_DIRECTIONS as f64)
+    /// With the lobes as lamps at a distance from the middle of the object.
+    pub(crate) fn with_lamps_at(mut self, distance: f64, middle: Point3<f64>) -> Self {
+        /// Share of the brightest cell's radiance below which a cell is dark.
+        const DARK: f64 = 1e-3;
+        let directions = (0..NUM_DIRECTIONS).map(|k| fibonacci(k, NUM_DIRECTIONS));
+        let mut cells: Vec<_> = directions.map(|d| (d, self.of_lobes(&d))).collect();
+        let most = cells
+            .iter()
+            .map(|(_, radiance)| radiance.max())
+            .fold(0.0, f64::max);
+        cells.retain(|(_, radiance)| radiance.max() > DARK * most);
+        self.near = Some(Near {
+            middle,
+            radius: distance,
+            cells,
+            room: table(|d| self.room(d)),
+        });
+        self
     }
 
-    /// Radiance from a direction; from below, that of the unshadowed mat.
-    pub(crate) fn radiance(&self, direction: &Vector3<f64>) -> Rgb {
+    /// Radiance of the lobes in a direction from the middle of the object.
+    fn of_lobes(&self, direction: &Vector3<f64>) -> Rgb {
+        self.lobes.iter().map(|lobe| lobe.radiance(direction)).sum()
+    }
+
+    /// Radiance without the lobes; from below, that of the unshadowed mat.
+    fn room(&self, direction: &Vector3<f64>) -> Rgb {
         if direction.z < 0.0 {
             return self.ground;
         }
-        let mut sum = self.horizon + (self.zenith - self.horizon) * direction.z;
-        for lobe in &self.lobes {
-            let fall = lobe.concentration * (direction.dot(&lobe.direction) - 1.0);
-            sum += lobe.color * fall.exp();
+        self.horizon + (self.zenith - self.horizon) * direction.z
+    }
+
+    /// Radiance from a direction in the middle of the object.
+    fn far_radiance(&self, direction: &Vector3<f64>) -> Rgb {
+        let lobes = self.lobes.iter().map(|lobe| lobe.radiance(direction));
+        lobes.fold(self.room(direction), |sum, lobe| sum + lobe)
+    }
+
+    /// Radiance at a place from a direction.
+    pub(crate) fn radiance(&self, place: &Point3<f64>, direction: &Vector3<f64>) -> Rgb {
+        match &self.near {
+            None => self.far_radiance(direction),
+            Some(near) => self.room(direction) + self.of_lobes(&near.met(place, direction)),
         }
-        sum
     }
 
-    /// Irradiance over π of an unshadowed surface.
-    pub(crate) fn irradiance(&self, n: &Vector3<f64>) -> Rgb {
-        let (x, y) = octahedral(n);
-        let scaled = |c: f64| (0.5 * (c + 1.0) * (TABLE - 1) as f64).clamp(0.0, (TABLE - 1) as f64);
-        let (x, y) = (scaled(x), scaled(y));
-        let (i, j) = ((x as usize).min(TABLE - 2), (y as usize).min(TABLE - 2));
-        let (fx, fy) = (x - i as f64, y - j as f64);
-        let at = |i: usize, j: usize| self.table[j * TABLE + i];
-        (at(i, j) * (1.0 - fx) + at(i + 1, j) * fx) * (1.0 - fy)
-            + (at(i, j + 1) * (1.0 - fx) + at(i + 1, j + 1) * fx) * fy
+    /// Irradiance over π of an unshadowed surface at a place.
+    pub(crate) fn irradiance(&self, place: &Point3<f64>, n: &Vector3<f64>) -> Rgb {
+        match &self.near {
+            None => read(&self.table, n),
+            Some(near) => read(&near.room, n) + near.irradiance(place, n),
+        }
     }
 
-    /// Nine harmonics of the irradiance in a camera's frame, one row per channel.
+    /// Nine harmonics of the irradiance in the middle of the object in a camera's frame, one row per channel.
     pub(crate) fn harmonics(&self, cam_from_world: &Rotation3<f64>) -> [SphericalHarmonics; 3] {
         let mut normal_matrix = SMatrix::<f64, 9, 9>::zeros();
         let mut right = [SVector::<f64, 9>::zeros(); 3];
@@ -216,7 +318,7 @@ impl Environment {
             let h =
                 SVector::<f64, 9>::from(SphericalHarmonics::basis(&(cam_from_world * n_in_world)));
             normal_matrix += h * h.transpose();
-            let irradiance = self.irradiance(&n_in_world);
+            let irradiance = read(&self.table, &n_in_world);
             for c in 0..3 {
                 right[c] += h * irradiance[c];
             }
@@ -245,7 +347,7 @@ mod tests {
         let (mut square, mut total) = (0.0, 0.0);
         for k in 0..500 {
             let n = fibonacci(k, 500);
-            let exact = environment.irradiance(&n);
+            let exact = environment.irradiance(&Point3::origin(), &n);
             for c in 0..3 {
                 square += (harmonics[c].evaluate(&(rotation * n)) - exact[c]).powi(2);
                 total += exact[c] * exact[c];
@@ -267,7 +369,8 @@ mod tests {
             let environment = Environment::new(4, kind, 0.0, Rgb::repeat(0.4));
             for k in 0..200 {
                 let n = fibonacci(k, 200);
-                let (table, exact) = (environment.irradiance(&n), environment.integrate(&n));
+                let table = environment.irradiance(&Point3::origin(), &n);
+                let exact = integrate(&n, |d| environment.far_radiance(d));
                 let error = (table - exact).norm() / exact.norm();
                 assert!(error < most, "{kind:?}, {n:?}: {error}");
             }
@@ -283,9 +386,36 @@ mod tests {
         let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), 0.7);
         for k in 0..100 {
             let n = fibonacci(k, 100);
-            let (a, b) = (still.irradiance(&n), turned.irradiance(&(rotation * n)));
+            let at = Point3::origin();
+            let (a, b) = (
+                still.irradiance(&at, &n),
+                turned.irradiance(&at, &(rotation * n)),
+            );
             let error = (a - b).norm() / a.norm();
             assert!(error < 1e-2, "{n:?}: {error}");
         }
+    }
+
+    #[test]
+    fn light_of_lamps_nearby_is_the_integral_of_what_arrives() {
+        let far = Environment::new(4, Illumination::Windows, 0.0, Rgb::repeat(0.4));
+        let middle = Point3::new(0.0, 0.0, 0.12);
+        let near = far.clone().with_lamps_at(0.8, middle);
+        for k in 0..50 {
+            let n = fibonacci(k, 50);
+            let error = near.irradiance(&middle, &n) - far.irradiance(&middle, &n);
+            assert!(error.norm() < 3e-3 * far.irradiance(&middle, &n).norm());
+            let place = Point3::new(0.2, -0.1, 0.02);
+            let exact = integrate(&n, |d| near.radiance(&place, d));
+            let error = near.irradiance(&place, &n) - exact;
+            assert!(error.norm() < 6e-3 * exact.norm(), "{n:?}: {error}");
+        }
+        // A facing surface half way to the lamp gets more, by less than the square: the lamp is wide.
+        let lobe = far.lobes[0].direction;
+        let of_lamps = |place: &Point3<f64>| {
+            near.irradiance(place, &lobe).sum() - read(&far.table, &lobe).sum()
+        };
+        let gain = of_lamps(&(middle + lobe * 0.2));
+        assert!(gain > 0.3 * read(&far.table, &lobe).sum(), "{gain}");
     }
 }

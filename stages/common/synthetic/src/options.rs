@@ -123,6 +123,9 @@ pub struct SceneOptions {
     /// Share of a smooth dielectric's mirror reflection (4 % at normal incidence, more when grazed)
     /// that the object adds to its matte light; 0 is matte, 1 is glazed.
     pub gloss: f64,
+    /// Distance of windows and lamps from the middle of the object, metres; without it they are endlessly far. It does not
+    /// count for photos that obey eq. 1 exactly.
+    pub lamps_at_m: Option<f64>,
     /// Radius of the reference sphere, metres; 0 for none.
     pub sphere_radius_m: f64,
     /// Further matte spheres on the mat.
@@ -145,6 +148,7 @@ impl Default for SceneOptions {
             speckle: 0.03,
             stains: 0.0,
             gloss: 0.0,
+            lamps_at_m: None,
             sphere_radius_m: 0.03,
             more_spheres: Vec::new(),
             mesh_spacing_m: 0.0015,
@@ -245,6 +249,9 @@ impl SceneOptions {
         in_range("speckle", self.speckle, 0.0..=0.3)?;
         in_range("stains", self.stains, 0.0..=0.9)?;
         in_range("gloss", self.gloss, 0.0..=1.0)?;
+        if let Some(distance) = self.lamps_at_m {
+            in_range("lamps_at_m", distance, 2.0 * self.height_m..=1000.0)?;
+        }
         let widest = 0.5 * self.height_m;
         in_range("sphere_radius_m", self.sphere_radius_m, 0.0..=widest)?;
         for (k, ball) in self.more_spheres.iter().enumerate() {

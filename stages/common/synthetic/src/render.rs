@@ -154,7 +154,7 @@ impl<'a> Renderer<'a> {
         let lit = self.lit(0);
         let paper = lit
             .environment
-            .irradiance(&Vector3::z())
+            .irradiance(&Point3::origin(), &Vector3::z())
             .component_mul(&Mat::paper())
             .max();
         let mut on_object: Vec<f64> = scene
@@ -163,10 +163,11 @@ impl<'a> Renderer<'a> {
             .par_iter()
             .zip(&scene.mesh.vertices)
             .enumerate()
-            .map(|(v, (n, _))| {
+            .map(|(v, (n, at))| {
+                let at = Point3::from(at.map(f64::from));
                 let normal = Vector3::from(n.map(f64::from));
                 let deficit = lit.bake.on_object([v as u32; 3], [0.0; 2]);
-                (lit.environment.irradiance(&normal) - deficit * normal)
+                (lit.environment.irradiance(&at, &normal) - deficit * normal)
                     .component_mul(&Rgb::from(scene.options.albedo))
                     .max()
             })
@@ -372,7 +373,7 @@ impl Shot<'_> {
             let at = self.center + ray * depth;
             let deficit = self.lit.bake.on_object(corners, uv);
             let albedo = scene.object_albedo(&at);
-            let mut sample = self.lit(Kind::Object, depth, &normal, &albedo, &deficit);
+            let mut sample = self.lit(Kind::Object, depth, (&at, &normal), &albedo, &deficit);
             if scene.options.gloss > 0.0 {
                 sample.color += self.reflection(&at, &(ray / length), &normal);
             }
@@ -384,7 +385,7 @@ impl Shot<'_> {
             let normal = (at - Point3::from(s.center_in_world)) / s.radius;
             let deficit = self.lit.bake.on_sphere(idx, &normal);
             let albedo = Rgb::from(scene.options.albedo);
-            return self.lit(Kind::Sphere(idx), t, &normal, &albedo, &deficit);
+            return self.lit(Kind::Sphere(idx), t, (&at, &normal), &albedo, &deficit);
         }
         if let Some(t) = ground {
             let at = self.center + ray * t;
@@ -392,10 +393,10 @@ impl Shot<'_> {
             let footprint = t * length / self.camera.focal_px() / cosine.sqrt();
             let albedo = scene.mat.albedo(at.x, at.y, footprint);
             let deficit = self.lit.bake.on_mat(at.x, at.y);
-            return self.lit(Kind::Ground, t, &Vector3::z(), &albedo, &deficit);
+            return self.lit(Kind::Ground, t, (&at, &Vector3::z()), &albedo, &deficit);
         }
         Sample {
-            color: self.lit.environment.radiance(&(ray / length)) * self.scale,
+            color: self.lit.environment.radiance(&self.center, &(ray / length)) * self.scale,
             kind: Kind::Air,
             depth: 0.0,
             normal_in_cam: Vector3::zeros(),
@@ -406,7 +407,7 @@ impl Shot<'_> {
         &self,
         kind: Kind,
         depth: f64,
-        normal: &Vector3<f64>,
+        (at, normal): (&Point3<f64>, &Vector3<f64>),
         albedo: &Rgb,
         deficit: &Deficit,
     ) -> Sample {
@@ -418,7 +419,7 @@ impl Shot<'_> {
                 albedo[c] / mean[c] * self.lighting.channels[c].evaluate(&normal_in_cam)
             })
         } else {
-            let light = self.lit.environment.irradiance(normal) - deficit * normal;
+            let light = self.lit.environment.irradiance(at, normal) - deficit * normal;
             light.sup(&Rgb::zeros()).component_mul(albedo) * self.scale
         };
         Sample {
@@ -450,7 +451,7 @@ impl Shot<'_> {
             return Rgb::zeros();
         }
         let share = AT_NORMAL_INCIDENCE + (1.0 - AT_NORMAL_INCIDENCE) * (1.0 - cosine).powi(5);
-        self.lit.environment.radiance(&mirrored) * (scene.options.gloss * share * self.scale)
+        self.lit.environment.radiance(at, &mirrored) * (scene.options.gloss * share * self.scale)
     }
 
     /// Moves a hit of the mesh along its ray onto the implicit surface.

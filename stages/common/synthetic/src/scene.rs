@@ -132,7 +132,12 @@ impl Scene {
     /// The environment of the options, turned about the vertical by `turn` radians.
     fn light(options: &SceneOptions, turn: f64) -> Environment {
         let mat = Mat::mean_albedo();
-        Environment::new(options.seed, options.illumination, turn, mat)
+        let far = Environment::new(options.seed, options.illumination, turn, mat);
+        let middle = Point3::new(0.0, 0.0, 0.5 * options.height_m);
+        match options.lamps_at_m {
+            Some(distance) => far.with_lamps_at(distance, middle),
+            None => far,
+        }
     }
 
     /// The scene's environment, turned about the vertical by `turn` radians.

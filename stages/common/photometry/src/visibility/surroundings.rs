@@ -182,9 +182,9 @@ mod tests {
 
     #[test]
     fn two_spheres_hide_a_part_of_the_sky_from_each_other() {
-        use super::super::{directions, transfer};
+        use super::super::{Dome, directions, transfer};
         let surroundings = two_spheres();
-        let rays = directions(2048);
+        let rays = Dome::far(directions(2048));
         // Facing each other, on the smaller sphere and on the larger one.
         for (on, x, normal) in [(0, 2.5, 1.0), (1, 4.0, -1.0)] {
             let normal = Vector3::new(normal, 0.0, 0.0);

@@ -1,6 +1,7 @@
-//! What arrives at a point: a set of environment directions that it sees, and a polynomial of its
+//! What arrives at a point: a set of cells of the environment that it sees, and a polynomial of its
 //! normal for what it meets instead.
 
+use super::dome::{Dome, Ray};
 use super::surroundings::Surroundings;
 use nalgebra::Vector3;
 use rilievo_scene::SphericalHarmonics;
@@ -13,28 +14,12 @@ pub const HORIZON: f64 = 0.3;
 /// Smallest sine of a ray's elevation over the surface: rays below are lifted to it.
 const LIFT: f32 = 0.05;
 
-/// `count` directions spread evenly over the sphere (Fibonacci lattice).
-pub fn directions(count: usize) -> Vec<Vector3<f32>> {
-    let golden = std::f64::consts::PI * (1.0 + 5.0_f64.sqrt());
-    (0..count)
-        .map(|k| {
-            let k = k as f64 + 0.5;
-            let cos = 1.0 - 2.0 * k / count as f64;
-            let sin = (1.0 - cos * cos).sqrt();
-            let phi = golden * k;
-            Vector3::new(
-                (phi.cos() * sin) as f32,
-                cos as f32,
-                (phi.sin() * sin) as f32,
-            )
-        })
-        .collect()
-}
-
 /// The transfer of one point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transfer {
-    /// Bit `k` is set where direction `k` leads into the environment.
+    /// The point, world.
+    pub place: Vector3<f32>,
+    /// Bit `k` is set where the way to cell `k` is free.
     pub visible: Vec<u64>,
     /// Normal for which the horizon was taken, world frame.
     pub normal: Vector3<f32>,
@@ -79,35 +64,44 @@ fn add(harmonics: &mut [f32; 9], d: &Vector3<f32>, c: [f32; 3], scale: f32) {
     }
 }
 
-/// Casts all rays of a point. `offset` lifts the start off the surface (world's unit); `from_sphere`
+/// Casts rays from a point towards all cells of the environment. `offset` lifts the start off the surface (world's unit); `from_sphere`
 /// is the sphere on which the point lies.
 pub fn transfer(
     surroundings: &Surroundings,
     point: &Vector3<f32>,
     normal: &Vector3<f32>,
-    directions: &[Vector3<f32>],
+    dome: &Dome,
     offset: f32,
     from_sphere: Option<usize>,
 ) -> Transfer {
-    let scale = 4.0 / directions.len() as f32;
+    let scale = 4.0 / dome.cells.len() as f32;
     let start = point + normal * offset;
     let mut out = Transfer {
-        visible: vec![0; directions.len().div_ceil(64)],
+        place: *point,
+        visible: vec![0; dome.cells.len().div_ceil(64)],
         normal: *normal,
         nearby: [[0.0; 9]; 3],
     };
-    for (k, d) in directions.iter().enumerate() {
-        let x = normal.dot(d);
+    for (
+        k,
+        Ray {
+            direction: d,
+            weight,
+        },
+    ) in dome.rays_from(point).enumerate()
+    {
+        let x = normal.dot(&d);
         let Some(c) = horizon(x) else { continue };
         let ray = if x < LIFT {
             (d + normal * (LIFT - x)).normalize()
         } else {
-            *d
+            d
         };
+        let scale = scale * weight;
         match surroundings.cast(&start, &ray, from_sphere) {
             Some(radiance) => {
                 for (harmonics, value) in out.nearby.iter_mut().zip(radiance) {
-                    add(harmonics, d, c, scale * value);
+                    add(harmonics, &d, c, scale * value);
                 }
             }
             None => out.visible[k / 64] |= 1 << (k % 64),
@@ -117,56 +111,71 @@ pub fn transfer(
 }
 
 impl Transfer {
-    /// Of a point that sees the whole environment over its horizon, and nothing else.
-    pub fn open(normal: &Vector3<f32>, num_directions: usize) -> Self {
+    /// Of a point in the centre that sees the whole environment over its horizon, and nothing else.
+    pub fn open(normal: &Vector3<f32>, dome: &Dome) -> Self {
         Self {
-            visible: vec![u64::MAX; num_directions.div_ceil(64)],
+            place: dome.center,
+            visible: vec![u64::MAX; dome.cells.len().div_ceil(64)],
             normal: *normal,
             nearby: [[0.0; 9]; 3],
         }
     }
 
     /// Harmonics (world frame) of everything that arrives: `environment` holds a radiance per
-    /// direction, `bounce` scales what the surroundings send.
+    /// cell of the dome that rays were cast to, `bounce` scales what the surroundings send.
     pub fn harmonics(
         &self,
-        directions: &[Vector3<f32>],
+        dome: &Dome,
         environment: &[[f32; 3]],
         bounce: [f32; 3],
     ) -> [[f32; 9]; 3] {
-        let scale = 4.0 / directions.len() as f32;
+        let scale = 4.0 / dome.cells.len() as f32;
         let mut out = self.nearby;
         for (harmonics, b) in out.iter_mut().zip(bounce) {
             harmonics.iter_mut().for_each(|v| *v *= b);
         }
-        for (k, d) in directions.iter().enumerate() {
+        for (
+            k,
+            Ray {
+                direction: d,
+                weight,
+            },
+        ) in dome.rays_from(&self.place).enumerate()
+        {
             if self.visible[k / 64] & (1 << (k % 64)) == 0 {
                 continue;
             }
-            if let Some(c) = horizon(self.normal.dot(d)) {
+            if let Some(c) = horizon(self.normal.dot(&d)) {
                 for (harmonics, &l) in out.iter_mut().zip(&environment[k]) {
-                    add(harmonics, d, c, scale * l);
+                    add(harmonics, &d, c, scale * weight * l);
                 }
             }
         }
         out
     }
 
-    /// Weight of every environment direction in the point's intensity at its normal.
-    pub fn row(&self, directions: &[Vector3<f32>]) -> Vec<f32> {
-        let scale = 4.0 / directions.len() as f32;
-        directions
-            .iter()
+    /// Weight of every cell in the point's intensity at its normal.
+    pub fn row(&self, dome: &Dome) -> Vec<f32> {
+        let scale = 4.0 / dome.cells.len() as f32;
+        dome.rays_from(&self.place)
             .enumerate()
-            .map(|(k, d)| {
-                let x = self.normal.dot(d);
-                match horizon(x) {
-                    Some(c) if self.visible[k / 64] & (1 << (k % 64)) != 0 => {
-                        scale * (c[0] + x * (c[1] + x * c[2]))
+            .map(
+                |(
+                    k,
+                    Ray {
+                        direction: d,
+                        weight,
+                    },
+                )| {
+                    let x = self.normal.dot(&d);
+                    match horizon(x) {
+                        Some(c) if self.visible[k / 64] & (1 << (k % 64)) != 0 => {
+                            scale * weight * (c[0] + x * (c[1] + x * c[2]))
+                        }
+                        _ => 0.0,
                     }
-                    _ => 0.0,
-                }
-            })
+                },
+            )
             .collect()
     }
 
@@ -181,14 +190,15 @@ impl Transfer {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::{DepthView, EmittingSphere, Volume};
+    use super::super::{DepthView, EmittingSphere, Volume, directions};
     use super::*;
 
     #[test]
     fn harmonics_are_the_sum_over_the_rays() {
-        let rays = directions(128);
+        let rays = Dome::far(directions(128));
         let normal = Vector3::new(0.2, -0.3, -0.9).normalize();
         let mut seen = Transfer {
+            place: Vector3::zeros(),
             visible: vec![0; 2],
             normal,
             nearby: [[0.0; 9]; 3],
@@ -197,7 +207,7 @@ mod tests {
             .map(|k| [0.5 + (k % 7) as f32 * 0.1, 1.0, 0.2 * (k % 3) as f32])
             .collect();
         // Every other ray leads out, the others bring a constant from the surroundings.
-        for (k, d) in rays.iter().enumerate() {
+        for (k, d) in rays.cells.iter().enumerate() {
             if let Some(c) = horizon(normal.dot(d)) {
                 if k % 2 == 0 {
                     seen.visible[k / 64] |= 1 << (k % 64);
@@ -215,6 +225,7 @@ mod tests {
         for channel in 0..3 {
             let bounce = [1.0, 0.5, 2.0][channel];
             let expected: f32 = rays
+                .cells
                 .iter()
                 .enumerate()
                 .filter_map(|(k, d)| {
@@ -274,8 +285,8 @@ mod tests {
         let sky = |d: &Vector3<f32>| 0.5 + 0.4 * d.x - 0.3 * d.z;
         let (point, normal) = (Vector3::new(0.05, 0.0, 2.0), Vector3::new(0.0, 0.0, -1.0));
         let offset = 0.1;
-        let rays = directions(512);
-        let environment: Vec<[f32; 3]> = rays.iter().map(|d| [sky(d); 3]).collect();
+        let rays = Dome::far(directions(512));
+        let environment: Vec<[f32; 3]> = rays.cells.iter().map(|d| [sky(d); 3]).collect();
         let seen = transfer(&surroundings, &point, &normal, &rays, offset, None);
         let light = seen.harmonics(&rays, &environment, [1.0; 3])[1];
         let dense = directions(20_000);
@@ -318,8 +329,8 @@ mod tests {
     fn every_points_harmonics_agree_with_sums_over_rays_by_equations() {
         let surroundings = plate_and_sphere();
         let sky = |d: &Vector3<f32>| 0.5 + 0.4 * d.x - 0.3 * d.z;
-        let rays = directions(512);
-        let environment: Vec<[f32; 3]> = rays.iter().map(|d| [sky(d); 3]).collect();
+        let rays = Dome::far(directions(512));
+        let environment: Vec<[f32; 3]> = rays.cells.iter().map(|d| [sky(d); 3]).collect();
         let dense = directions(4_000);
         let facing = Vector3::new(0.0, 0.0, -1.0);
         let (mut worst, mut sum, mut count) = (0.0_f64, 0.0, 0.0);
@@ -373,14 +384,15 @@ mod tests {
 
     #[test]
     fn an_open_sky_of_one_radiance_is_one() {
-        let rays = directions(512);
+        let rays = Dome::far(directions(512));
         let normal = Vector3::new(0.0_f32, 0.6, -0.8);
         let mut seen = Transfer {
+            place: Vector3::zeros(),
             visible: vec![0; 8],
             normal,
             nearby: [[0.0; 9]; 3],
         };
-        for (k, d) in rays.iter().enumerate() {
+        for (k, d) in rays.cells.iter().enumerate() {
             if normal.dot(d) > -(HORIZON as f32) {
                 seen.visible[k / 64] |= 1 << (k % 64);
             }
