@@ -110,6 +110,8 @@ def synth(
     seed: Optional[int] = None,
     format: Optional[str] = None,
     mesh: Optional[Path] = None,
+    near: Optional[float] = None,
+    gloss: Optional[float] = None,
     config: Optional[Path] = None,
     progress: Optional[Progress] = None,
 ) -> None:
@@ -131,6 +133,10 @@ def synth(
         ``"jpeg"`` (default), ``"tiff"``, ``"png"``, ``"exr"`` or ``"dng"``.
     mesh : path, optional
         A mesh (PLY, z up) to photograph instead of a made object.
+    near : float, optional
+        Windows and lamps this far from the middle of the object, metres; endlessly far by default.
+    gloss : float, optional
+        Sheen of the object, 0 (matte, the default) to 1 (glazed).
     config : path, optional
         Options of scene and photographs, a TOML file.
     progress : callable, optional
@@ -138,7 +144,16 @@ def synth(
     """
     if isinstance(size, tuple):
         size = "x".join(str(side) for side in size)
-    given = dict(views=views, size=size, seed=seed, format=format, mesh=mesh, config=config)
+    given = dict(
+        views=views,
+        size=size,
+        seed=seed,
+        format=format,
+        mesh=mesh,
+        near=near,
+        gloss=gloss,
+        config=config,
+    )
     _rilievo.run_command(["synth", *_options(given, {}), "--", _path("out", out)], hearing(progress))
 
 

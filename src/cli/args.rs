@@ -434,7 +434,7 @@ pub struct SynthArgs {
     /// Another seed is another object [default: as `--config` says, else 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Windows and lamps this far from the middle of the object, which is .24 m tall [default: endlessly far]
+    /// Windows and lamps this far from the middle of the object, which is .24 m tall [default: as `--config` says, else endlessly far]
     #[arg(long, value_name = "METRES")]
     pub near: Option<f64>,
     /// Sheen of the object, 0 (matte) to 1 (glazed) [default: as `--config` says, else 0]

@@ -331,8 +331,8 @@ fn trust(facts: &PhotoReport) -> Markup {
         p {
             (facts.shading)
             @if let Some(distance) = facts.light_distance() {
-                "; the light is nearby, about " (number(distance, 2))
-                " from the middle of the object (world's unit)"
+                "; explained best by light from about " (number(distance, 3))
+                " (world's unit) away, which makes one light serve all places and is no measurement of the room"
             }
         }
         @if let Some(validation) = &facts.validation {

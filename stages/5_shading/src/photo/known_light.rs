@@ -33,6 +33,26 @@ pub(crate) struct KnownLight {
 }
 
 impl KnownLight {
+    /// What spheres say alone, about `most` points at most.
+    pub fn of_spheres(&self, most: usize) -> Self {
+        let groups = self.groups.iter().filter(|group| group.sphere.is_some());
+        let count: usize = groups.clone().map(|group| group.points.len()).sum();
+        let thinned = |group: &KnownGroup| KnownGroup {
+            sphere: group.sphere,
+            points: group
+                .points
+                .iter()
+                .step_by(count.div_ceil(most).max(1))
+                .copied()
+                .collect(),
+        };
+        Self {
+            kind: self.kind,
+            spheres: self.spheres.clone(),
+            groups: groups.map(thinned).collect(),
+        }
+    }
+
     /// From stage 4's samples; `gains` are the exposures of the views. A sphere of which nothing is
     /// known is left out, and hides nothing; one that sees another light than the object gives no
     /// samples.

@@ -43,6 +43,7 @@ mod light;
 mod light_distance;
 #[cfg(test)]
 mod light_tests;
+mod lit;
 mod matching;
 mod memory;
 mod options;

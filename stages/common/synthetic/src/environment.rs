@@ -54,15 +54,12 @@ struct Near {
 }
 
 impl Near {
-    /// Direction from the middle of what a ray from a place within the dome meets.
-    fn met(&self, place: &Point3<f64>, direction: &Vector3<f64>) -> Vector3<f64> {
+    /// Direction from the middle of what a ray from a place within the dome meets; outside there is no lamp.
+    fn met(&self, place: &Point3<f64>, direction: &Vector3<f64>) -> Option<Vector3<f64>> {
         let offset = (place - self.middle) / self.radius;
+        let inside = 1.0 - offset.norm_squared();
         let along = offset.dot(direction);
-        let t = -along
-            + (along * along + 1.0 - offset.norm_squared())
-                .max(0.0)
-                .sqrt();
-        offset + direction * t
+        (inside > 0.0).then(|| offset + direction * ((along * along + inside).sqrt() - along))
     }
 
     /// Irradiance over π of the bright cells.
@@ -118,7 +115,7 @@ fn from_octahedral(x: f64, y: f64) -> Vector3<f64> {
 }
 
 impl Lobe {
-    /// Nothing comes through the mat.
+    /// Radiance from a direction; nothing comes through the mat.
     fn radiance(&self, direction: &Vector3<f64>) -> Rgb {
         if direction.z < 0.0 {
             return Rgb::zeros();
@@ -297,7 +294,11 @@ impl Environment {
     pub(crate) fn radiance(&self, place: &Point3<f64>, direction: &Vector3<f64>) -> Rgb {
         match &self.near {
             None => self.far_radiance(direction),
-            Some(near) => self.room(direction) + self.of_lobes(&near.met(place, direction)),
+            Some(near) => {
+                let met = near.met(place, direction);
+                let lamps = met.map_or_else(Rgb::zeros, |met| self.of_lobes(&met));
+                self.room(direction) + lamps
+            }
         }
     }
 

@@ -1,5 +1,6 @@
 //! Options of the synthetic scene and of its photographs.
 
+use nalgebra::Point3;
 use rilievo_scene::{Mesh, OptionError, RetiredKey, check_ranges, fulfils, in_range};
 use serde::{Deserialize, Serialize};
 
@@ -123,8 +124,8 @@ pub struct SceneOptions {
     /// Share of a smooth dielectric's mirror reflection (4 % at normal incidence, more when grazed)
     /// that the object adds to its matte light; 0 is matte, 1 is glazed.
     pub gloss: f64,
-    /// Distance of windows and lamps from the middle of the object, metres; without it they are endlessly far. It does not
-    /// count for photos that obey eq. 1 exactly.
+    /// Distance of windows and lamps from the middle of the object, metres; without it they are endlessly far. An overcast
+    /// sky has none, and photos that obey eq. 1 exactly know no distance.
     pub lamps_at_m: Option<f64>,
     /// Radius of the reference sphere, metres; 0 for none.
     pub sphere_radius_m: f64,
@@ -234,6 +235,11 @@ impl SceneOptions {
             ],
             radius_m: self.sphere_radius_m,
         })
+    }
+
+    /// Middle of the object, world.
+    pub(crate) fn middle(&self) -> Point3<f64> {
+        Point3::new(0.0, 0.0, 0.5 * self.height_m)
     }
 
     /// Checks every number.

@@ -10,10 +10,14 @@ use crate::shape::Shape;
 use crate::surface::extract;
 use nalgebra::{Point3, Vector3};
 use rilievo_numerics::bvh::Bvh;
-use rilievo_scene::Mesh;
+use rilievo_scene::{Mesh, fulfils};
 
 /// How much of each colour a stain takes, the most first.
 const BROWN: Rgb = Rgb::new(0.75, 0.9, 1.0);
+
+/// Share of the lamps' distance up to which object and spheres may reach from the middle: nearer to the lamps the cells that stand
+/// for them show.
+const MAX_REACH: f64 = 0.7;
 
 /// A reference sphere, metres, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,9 +119,24 @@ impl Scene {
         let bvh = Bvh::new(&mesh);
         let balls = options.first_sphere().into_iter();
         let balls = balls.chain(options.more_spheres.iter().copied());
-        let spheres = balls
+        let spheres: Vec<ReferenceSphere> = balls
             .map(|ball| ReferenceSphere::on_mat(ball.at_m, ball.radius_m))
             .collect();
+        if let Some(distance) = options.lamps_at_m {
+            let middle = options.middle();
+            let vertices = mesh.vertices.iter().map(|v| Point3::from(v.map(f64::from)));
+            let reaches = vertices.map(|v| (v - middle).norm());
+            let balls = spheres.iter();
+            let balls = balls.map(|s| (Point3::from(s.center_in_world) - middle).norm() + s.radius);
+            let reach = reaches.chain(balls).fold(0.0, f64::max);
+            let is_inside = reach <= MAX_REACH * distance;
+            fulfils("lamps_at_m", distance, is_inside, || {
+                format!(
+                    "be {:.2} at least, so that object and spheres stand well before the lamps",
+                    reach / MAX_REACH
+                )
+            })?;
+        }
         Ok(Self {
             mat: Mat::new(options.seed, 1.75 * height, 1.35 * height),
             environment: Self::light(&options, 0.0),
@@ -133,9 +152,8 @@ impl Scene {
     fn light(options: &SceneOptions, turn: f64) -> Environment {
         let mat = Mat::mean_albedo();
         let far = Environment::new(options.seed, options.illumination, turn, mat);
-        let middle = Point3::new(0.0, 0.0, 0.5 * options.height_m);
         match options.lamps_at_m {
-            Some(distance) => far.with_lamps_at(distance, middle),
+            Some(distance) => far.with_lamps_at(distance, options.middle()),
             None => far,
         }
     }

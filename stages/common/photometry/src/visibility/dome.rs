@@ -7,6 +7,10 @@
 
 use nalgebra::Vector3;
 
+/// Distance of a place from the centre, as a share of the cells' distance, up to which a finite number of cells lights it
+/// evenly: with 256 of one radiance brightness errs by 1 % (standard deviation) at .6, and by 2 % at .8.
+pub const MAX_OFFSET: f32 = 0.7;
+
 /// The cells of an environment.
 #[derive(Clone, Debug)]
 pub struct Dome {
@@ -23,7 +27,7 @@ pub struct Dome {
 pub struct Ray {
     /// Unit, world frame.
     pub direction: Vector3<f32>,
-    /// Solid angle of the cell over `4π/K`, what it takes from the centre; 0 behind the cell.
+    /// Solid angle of the cell as seen from the place, over that from the centre; 0 behind the cell.
     pub weight: f32,
 }
 
@@ -55,9 +59,11 @@ impl Dome {
         }
     }
 
-    /// The ways from a place to the cells, in their order.
+    /// The ways from a place to the cells, in their order. A place farther off than [`MAX_OFFSET`] is lit as the nearest
+    /// one that is not.
     pub fn rays_from(&self, place: &Vector3<f32>) -> impl Iterator<Item = Ray> + '_ {
         let offset = (self.center - place) * self.nearness;
+        let offset = offset.cap_magnitude(MAX_OFFSET);
         self.cells.iter().map(move |cell| {
             if self.nearness == 0.0 {
                 return Ray {
@@ -82,19 +88,30 @@ mod tests {
     /// Irradiance over π from a dome of radius 2 around (1, 0, 0), and its closed form for one radiance everywhere.
     #[test]
     fn within_a_dome_of_one_radiance_all_places_are_equally_bright() {
-        let dome = Dome {
-            cells: directions(4096),
-            center: Vector3::new(1.0, 0.0, 0.0),
-            nearness: 0.5,
-        };
-        let normal = Vector3::new(0.6, -0.64, 0.48);
-        for place in [[1.0, 0.0, 0.0], [1.9, 0.0, 0.0], [0.4, 0.7, -0.5]] {
-            let light = dome.rays_from(&place.into()).map(|ray| {
-                let cosine = ray.direction.dot(&normal).max(0.0);
-                f64::from(cosine * ray.weight)
-            });
-            let light = 4.0 * light.sum::<f64>() / dome.cells.len() as f64;
-            assert!((light - 1.0).abs() < 2e-3, "{light} at {place:?}");
+        for (count, tolerance) in [(4096, 5e-3), (256, 4e-2)] {
+            let dome = Dome {
+                cells: directions(count),
+                center: Vector3::new(1.0, 0.0, 0.0),
+                nearness: 0.5,
+            };
+            let normal = Vector3::new(0.6, -0.64, 0.48);
+            // The last one lies outside.
+            for place in [
+                [1.0, 0.0, 0.0],
+                [2.4, 0.0, 0.0],
+                [0.4, 0.7, -0.5],
+                [9.0, 0.0, 1.0],
+            ] {
+                let light = dome.rays_from(&place.into()).map(|ray| {
+                    let cosine = ray.direction.dot(&normal).max(0.0);
+                    f64::from(cosine * ray.weight)
+                });
+                let light = 4.0 * light.sum::<f64>() / dome.cells.len() as f64;
+                assert!(
+                    (light - 1.0).abs() < tolerance,
+                    "{light} at {place:?}, {count} cells"
+                );
+            }
         }
     }
 
@@ -105,19 +122,19 @@ mod tests {
             center: Vector3::zeros(),
             nearness: 0.25,
         };
-        let of = |place: [f32; 3]| dome.rays_from(&place.into()).next();
-        // Half way towards it, beside it at 45 degrees, and behind it.
+        // Half way towards it, and beside it.
+        let beside = 1.25_f32.sqrt();
         for (place, direction, weight) in [
             ([0.0, 0.0, 2.0], [0.0, 0.0, 1.0], 4.0),
             (
-                [0.0, 4.0, 0.0],
-                [0.0, -0.5_f32.sqrt(), 0.5_f32.sqrt()],
-                0.5 * 0.5_f32.sqrt(),
+                [0.0, 2.0, 0.0],
+                [0.0, -0.5 / beside, 1.0 / beside],
+                beside.powi(-3),
             ),
-            ([0.0, 0.0, 5.0], [0.0, 0.0, -1.0], 0.0),
         ] {
-            let ray = of(place);
-            let Some(ray) = ray else { panic!("no ray") };
+            let Some(ray) = dome.rays_from(&place.into()).next() else {
+                panic!("no ray")
+            };
             assert!((ray.direction - Vector3::from(direction)).norm() < 1e-6);
             assert!((ray.weight - weight).abs() < 1e-6, "{ray:?} at {place:?}");
         }

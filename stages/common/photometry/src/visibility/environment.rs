@@ -1,5 +1,5 @@
-//! The environment's radiance, one value per direction and channel, from points whose intensity is
-//! known: `min_{L ≥ 0, b ≥ 0} Σ w ρ(r) + λ Σ (L_k − L_k')²` over neighbouring directions, `r = (S − I) / ½ (S + I)`
+//! The environment's radiance, one value per cell and channel, from points whose intensity is
+//! known: `min_{L ≥ 0, b ≥ 0} Σ w ρ(r) + λ Σ (L_k − L_k')²` over neighbouring cells, `r = (S − I) / ½ (S + I)`
 //! with the intensity `S = T L + b B` and the sample's weight `w`.
 //!
 //! `T` is what a point sees, `B` what its surroundings send, `b` their common factor (the albedo over
@@ -18,7 +18,7 @@ use rilievo_numerics::robust::RobustLoss;
 /// One point with a known intensity.
 #[derive(Clone, Debug)]
 pub struct EnvironmentSample {
-    /// Weight of every direction, see [`super::Transfer::row`].
+    /// Weight of every cell, see [`super::Transfer::row`].
     pub row: Vec<f32>,
     /// What the surroundings send.
     pub nearby: [f32; 3],
@@ -31,7 +31,7 @@ pub struct EnvironmentSample {
 /// The environment that explains the samples.
 #[derive(Clone, Debug)]
 pub struct EnvironmentFit {
-    /// Radiance per direction, times albedo.
+    /// Radiance per cell, times albedo.
     pub radiance: Vec<[f32; 3]>,
     /// Factor of what the surroundings send.
     pub bounce: [f32; 3],
@@ -47,7 +47,7 @@ const NUM_ROUNDS: usize = 5;
 /// Sweeps of coordinate descent; the smoothness keeps the system well conditioned.
 const NUM_SWEEPS: usize = 150;
 
-/// Fits the environment. `smoothness` is λ relative to the mean diagonal of `TᵀT`.
+/// Fits the environment whose cells lie in `directions` from the centre. `smoothness` is λ relative to the mean diagonal of `TᵀT`.
 ///
 /// `None` without samples.
 pub fn fit_environment(

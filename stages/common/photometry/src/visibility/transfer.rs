@@ -1,7 +1,7 @@
 //! What arrives at a point: a set of cells of the environment that it sees, and a polynomial of its
 //! normal for what it meets instead.
 
-use super::dome::{Dome, Ray};
+use super::dome::Dome;
 use super::surroundings::Surroundings;
 use nalgebra::Vector3;
 use rilievo_scene::SphericalHarmonics;
@@ -64,7 +64,7 @@ fn add(harmonics: &mut [f32; 9], d: &Vector3<f32>, c: [f32; 3], scale: f32) {
     }
 }
 
-/// Casts rays from a point towards all cells of the environment. `offset` lifts the start off the surface (world's unit); `from_sphere`
+/// Casts rays from a point towards all cells of a dome. `offset` lifts the start off the surface (world's unit); `from_sphere`
 /// is the sphere on which the point lies.
 pub fn transfer(
     surroundings: &Surroundings,
@@ -82,23 +82,17 @@ pub fn transfer(
         normal: *normal,
         nearby: [[0.0; 9]; 3],
     };
-    for (
-        k,
-        Ray {
-            direction: d,
-            weight,
-        },
-    ) in dome.rays_from(point).enumerate()
-    {
+    for (k, ray) in dome.rays_from(point).enumerate() {
+        let d = ray.direction;
         let x = normal.dot(&d);
         let Some(c) = horizon(x) else { continue };
-        let ray = if x < LIFT {
+        let lifted = if x < LIFT {
             (d + normal * (LIFT - x)).normalize()
         } else {
             d
         };
-        let scale = scale * weight;
-        match surroundings.cast(&start, &ray, from_sphere) {
+        let scale = scale * ray.weight;
+        match surroundings.cast(&start, &lifted, from_sphere) {
             Some(radiance) => {
                 for (harmonics, value) in out.nearby.iter_mut().zip(radiance) {
                     add(harmonics, &d, c, scale * value);
@@ -134,20 +128,13 @@ impl Transfer {
         for (harmonics, b) in out.iter_mut().zip(bounce) {
             harmonics.iter_mut().for_each(|v| *v *= b);
         }
-        for (
-            k,
-            Ray {
-                direction: d,
-                weight,
-            },
-        ) in dome.rays_from(&self.place).enumerate()
-        {
+        for (k, ray) in dome.rays_from(&self.place).enumerate() {
             if self.visible[k / 64] & (1 << (k % 64)) == 0 {
                 continue;
             }
-            if let Some(c) = horizon(self.normal.dot(&d)) {
+            if let Some(c) = horizon(self.normal.dot(&ray.direction)) {
                 for (harmonics, &l) in out.iter_mut().zip(&environment[k]) {
-                    add(harmonics, &d, c, scale * weight * l);
+                    add(harmonics, &ray.direction, c, scale * ray.weight * l);
                 }
             }
         }
@@ -159,23 +146,15 @@ impl Transfer {
         let scale = 4.0 / dome.cells.len() as f32;
         dome.rays_from(&self.place)
             .enumerate()
-            .map(
-                |(
-                    k,
-                    Ray {
-                        direction: d,
-                        weight,
-                    },
-                )| {
-                    let x = self.normal.dot(&d);
-                    match horizon(x) {
-                        Some(c) if self.visible[k / 64] & (1 << (k % 64)) != 0 => {
-                            scale * weight * (c[0] + x * (c[1] + x * c[2]))
-                        }
-                        _ => 0.0,
+            .map(|(k, ray)| {
+                let x = self.normal.dot(&ray.direction);
+                match horizon(x) {
+                    Some(c) if self.visible[k / 64] & (1 << (k % 64)) != 0 => {
+                        scale * ray.weight * (c[0] + x * (c[1] + x * c[2]))
                     }
-                },
-            )
+                    _ => 0.0,
+                }
+            })
             .collect()
     }
 
