@@ -3,8 +3,9 @@
 //! Rays from the pixels of the next coarser level against the solid that the depth maps carve, the
 //! spheres and the ground; the environment fitted on object pixels and the known light's samples
 //! (`known_light`) together, still in the world or, for a light fixed to the camera, still in the
-//! camera's frame, where every view casts the same rays in directions of its own; endlessly far, or on a dome at the distance
-//! that explains the photos best (`light_distance`); coefficients interpolated to the level. Pigment, and an albedo of the sphere that differs from the object's,
+//! camera's frame, where every view casts the same rays in directions of its own; endlessly far, or
+//! on a dome at the distance that explains the photos best (`light_distance`); coefficients
+//! interpolated to the level. Pigment, and an albedo of the sphere that differs from the object's,
 //! are divided out of the samples before a second fit. `distant` does without rays.
 
 use super::hidden_light;
