@@ -11,7 +11,7 @@
 use super::hidden_light;
 use super::known_light::KnownLight;
 use super::light::{self, FIT_PIXELS, Light, rotation, without_pigment};
-use super::lit::{BoundingSphere, Domes, Lit, Shape, known_ratio};
+use super::lit::{BoundingSphere, Domes, Lit, SMOOTHNESS, Shape, known_ratio};
 use super::shading::PixelHarmonics;
 use rayon::prelude::*;
 use rilievo_photometry::harmonics::{fit_robust, rotate, rotate_harmonics};
@@ -32,8 +32,6 @@ const MAX_VOXELS: usize = 224;
 /// Object pixels of all views together on which the environment is fitted: the light is the same
 /// for all, so that many views add nothing.
 const MAX_FIT_PIXELS: usize = 96_000;
-/// Smoothness of the environment, relative.
-pub(crate) const SMOOTHNESS: f64 = 1e-3;
 /// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes
 /// nothing.
 const MIN_BELIEF: f64 = 0.05;

@@ -1,6 +1,5 @@
 //! What is lit: pixels and points of the known light, and the samples that tell of their light.
 
-use super::environment::SMOOTHNESS;
 use super::known_light::KnownLight;
 use super::light::without_pigment;
 use super::light_distance::{self, Evidence};
@@ -17,6 +16,8 @@ use rilievo_stereo::level::Level;
 use std::borrow::Cow;
 use std::ops::Range;
 
+/// Smoothness of the environment, relative.
+pub(crate) const SMOOTHNESS: f64 = 1e-3;
 /// Object pixels of all views together, and points of the spheres, on which the distance of the light is found: one number.
 const DISTANCE_PIXELS: usize = 3000;
 /// Influence of all points of the known light against all object pixels of one view.
