@@ -33,7 +33,7 @@ pub(crate) struct KnownLight {
 }
 
 impl KnownLight {
-    /// What spheres say alone, about `most` points at most.
+    /// What spheres say alone, thinned to about `most` points.
     pub fn of_spheres(&self, most: usize) -> Self {
         let groups = self.groups.iter().filter(|group| group.sphere.is_some());
         let count: usize = groups.clone().map(|group| group.points.len()).sum();

@@ -184,17 +184,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
             )
         })
         .collect();
-    let object: Vec<Point3<f64>> = level
-        .views
-        .iter()
-        .zip(&depths)
-        .flat_map(|(view, depth)| {
-            (0..view.pixels.len()).step_by(29).map(move |p| {
-                let (x, y) = view.xy(p);
-                view.camera.unproject(x, y, depth[p].exp())
-            })
-        })
-        .collect();
+    let object = surround::object_points(level, &depths);
     let ground = surround::find_ground(&points, &object, &truth.scene.small);
     let scene = LightScene {
         known: &known_light(&truth.photos, &truth.posed, LightKind::World, &[]),

@@ -30,13 +30,7 @@ impl Solver<'_> {
             .iter()
             .map(|p| Point3::from(p.position))
             .collect();
-        let mut object = Vec::new();
-        for (view, depth) in level.views.iter().zip(depths) {
-            for p in (0..view.pixels.len()).step_by(29) {
-                let (x, y) = view.xy(p);
-                object.push(view.camera.unproject(x, y, depth[p].exp()));
-            }
-        }
+        let object = surround::object_points(level, depths);
         surround::find_ground(&points, &object, &self.scene.small)
     }
 

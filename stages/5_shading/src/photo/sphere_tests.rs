@@ -149,14 +149,7 @@ fn lit_from(distance_m: Option<f64>, turntable: bool) -> (Option<f64>, f64) {
     let level = &scene.pyramid[0];
     let mat = (0..900).map(|i| [f64::from(i % 30), f64::from(i / 30)].map(|c| 0.02 * (c - 14.5)));
     let mat: Vec<Point3<f64>> = mat.map(|[x, y]| Point3::new(x, y, 0.0)).collect();
-    let views = level.views.iter().zip(&truth);
-    let object = views.flat_map(|(view, depth)| {
-        (0..view.pixels.len()).step_by(29).map(|p| {
-            let (x, y) = view.xy(p);
-            view.camera.unproject(x, y, depth[p].exp())
-        })
-    });
-    let object: Vec<Point3<f64>> = object.collect();
+    let object = surround::object_points(level, &truth);
     let ground = surround::find_ground(&mat, &object, &scene.small);
     let known = known_light(&world.photos, &world.posed, kind, &[]);
     let light_scene = LightScene {

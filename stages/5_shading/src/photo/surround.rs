@@ -6,6 +6,7 @@ use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LinearImage, Mask};
 use rilievo_stereo::camera::Camera;
 use rilievo_stereo::hull::dilate;
+use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::window::block_mean;
 
 /// Longest side of the small photos: the surroundings are needed at a few millimetres only.
@@ -71,6 +72,20 @@ impl SmallPhoto {
         let p = self.image.pixel(u, v);
         (!*self.object.at(u, v) && p.iter().all(|&x| x >= 0.0)).then(|| [p[0], p[1], p[2]])
     }
+}
+
+/// Some points of the object's surface at the log depths of all views, world.
+pub(crate) fn object_points(level: &Level, depths: &[Vec<f64>]) -> Vec<Point3<f64>> {
+    let views = level.views.iter().zip(depths);
+    let of_view = |(view, depth): (&LevelView, &Vec<f64>)| -> Vec<Point3<f64>> {
+        let pixels = (0..view.pixels.len()).step_by(29);
+        let at = pixels.map(|p| {
+            let (x, y) = view.xy(p);
+            view.camera.unproject(x, y, depth[p].exp())
+        });
+        at.collect()
+    };
+    views.flat_map(of_view).collect()
 }
 
 /// The plane on which the object stands, from sparse points off the object, with its texture.

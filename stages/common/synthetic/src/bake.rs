@@ -120,6 +120,23 @@ impl Bake {
         if !bounce {
             return first;
         }
+        let of_triangle: Vec<Rgb> = scene
+            .mesh
+            .triangles
+            .par_iter()
+            .map(|&[a, b, c]| {
+                let normal = [a, b, c]
+                    .map(|v| Vector3::from(scene.mesh.normals[v as usize].map(f64::from)))
+                    .iter()
+                    .sum::<Vector3<f64>>()
+                    .normalize();
+                let shadow = first.on_object([a, b, c], [1.0 / 3.0; 2]);
+                let at = Point3::from(scene.mesh.vertices[a as usize].map(f64::from));
+                (scene.environment.irradiance(&at, &normal) - shadow * normal)
+                    .component_mul(&scene.albedo)
+                    .sup(&Rgb::zeros())
+            })
+            .collect();
         gather(&|target| match target {
             Target::Mat { x, y } => (unshadowed(*x, *y) - first.on_mat(*x, *y) * Vector3::z())
                 .component_mul(&mat_albedo)
@@ -131,19 +148,7 @@ impl Bake {
                     .component_mul(&scene.albedo)
                     .sup(&Rgb::zeros())
             }
-            Target::Object { triangle } => {
-                let [a, b, c] = scene.mesh.triangles[*triangle as usize];
-                let normal = [a, b, c]
-                    .map(|v| Vector3::from(scene.mesh.normals[v as usize].map(f64::from)))
-                    .iter()
-                    .sum::<Vector3<f64>>()
-                    .normalize();
-                let shadow = first.on_object([a, b, c], [1.0 / 3.0; 2]);
-                let at = Point3::from(scene.mesh.vertices[a as usize].map(f64::from));
-                (scene.environment.irradiance(&at, &normal) - shadow * normal)
-                    .component_mul(&scene.albedo)
-                    .sup(&Rgb::zeros())
-            }
+            Target::Object { triangle } => of_triangle[*triangle as usize],
         })
     }
 

@@ -47,7 +47,8 @@ const NUM_ROUNDS: usize = 5;
 /// Sweeps of coordinate descent; the smoothness keeps the system well conditioned.
 const NUM_SWEEPS: usize = 150;
 
-/// Fits the environment whose cells lie in `directions` from the centre. `smoothness` is λ relative to the mean diagonal of `TᵀT`.
+/// Fits the environment whose cells lie in `directions` from the centre. `smoothness` is λ relative
+/// to the mean diagonal of `TᵀT`.
 ///
 /// `None` without samples.
 pub fn fit_environment(

@@ -64,8 +64,8 @@ fn add(harmonics: &mut [f32; 9], d: &Vector3<f32>, c: [f32; 3], scale: f32) {
     }
 }
 
-/// Casts rays from a point towards all cells of a dome. `offset` lifts the start off the surface (world's unit); `from_sphere`
-/// is the sphere on which the point lies.
+/// Casts rays from a point towards all cells of a dome. `offset` lifts the start off the surface
+/// (world's unit); `from_sphere` is the sphere on which the point lies.
 pub fn transfer(
     surroundings: &Surroundings,
     point: &Vector3<f32>,
