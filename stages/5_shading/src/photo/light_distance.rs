@@ -3,8 +3,9 @@
 //! From another place of the object a lamp nearby lies in another direction, and shines with another strength. The
 //! environment is fitted at several distances, and what the best of them leaves unexplained, a smooth function of one over
 //! the distance, gives the distance by a parabola. It has to explain the photos better than a light that is endlessly far:
-//! the squares of the residuals are compared sample by sample, and samples of all views near one place of the object count as
-//! one, since their errors have the same causes.
+//! the squares of the residuals are compared sample by sample, and samples of all views near one place count as one, since
+//! their errors have the same causes. What each place gains counts alike: the few places of a sphere, whose points weigh
+//! most in the fit, would else be all that the spread is made of.
 
 use nalgebra::Vector3;
 use rilievo_numerics::robust::median;
@@ -46,9 +47,15 @@ pub(crate) fn nearness(
     };
     let mut sizes: Vec<f64> = far.iter().map(|e| f64::from(e.residual)).collect();
     let limit = MAX_RESIDUAL * median(&mut sizes).unwrap_or(0.0);
+    let weights: Vec<f64> = far.iter().map(|e| f64::from(e.weight)).collect();
     let losses = |evidence: &[Evidence]| -> Vec<f64> {
-        let loss = |e: &Evidence| f64::from(e.weight) * f64::from(e.residual).min(limit).powi(2);
-        evidence.iter().map(loss).collect()
+        let squares = evidence
+            .iter()
+            .map(|e| f64::from(e.residual).min(limit).powi(2));
+        squares
+            .zip(&weights)
+            .map(|(square, w)| w * square)
+            .collect()
     };
     let cubes: Vec<[i32; 3]> = far
         .iter()
@@ -77,7 +84,7 @@ pub(crate) fn nearness(
     let Some(near) = evidence(best as f32) else {
         return 0.0;
     };
-    if significance(&cubes, &far, &losses(&near)) < MIN_SIGNIFICANCE {
+    if significance(&cubes, &weights, &far, &losses(&near)) < MIN_SIGNIFICANCE {
         return 0.0;
     }
     best as f32
@@ -92,20 +99,23 @@ fn vertex(before: (f64, f64), middle: (f64, f64), after: (f64, f64)) -> f64 {
     middle.0 + 0.5 * (middle.0 - before.0) * (before.1 - after.1) / bend
 }
 
-/// What is gained in all cubes over its standard deviation; 0 of few cubes.
-fn significance(cubes: &[[i32; 3]], far: &[f64], near: &[f64]) -> f64 {
-    let mut gains: BTreeMap<[i32; 3], f64> = BTreeMap::new();
-    for ((&cube, far), near) in cubes.iter().zip(far).zip(near) {
-        *gains.entry(cube).or_default() += far - near;
+/// Mean of what the cubes gain for their weight over its standard deviation; 0 of few cubes.
+fn significance(cubes: &[[i32; 3]], weights: &[f64], far: &[f64], near: &[f64]) -> f64 {
+    let mut sums: BTreeMap<[i32; 3], (f64, f64)> = BTreeMap::new();
+    for (k, &cube) in cubes.iter().enumerate() {
+        let (gain, weight) = sums.entry(cube).or_default();
+        *gain += far[k] - near[k];
+        *weight += weights[k];
     }
-    if gains.len() < MIN_CUBES {
+    if sums.len() < MIN_CUBES {
         return 0.0;
     }
+    let gains: Vec<f64> = sums.values().map(|(gain, weight)| gain / weight).collect();
     let count = gains.len() as f64;
-    let sum: f64 = gains.values().sum();
-    let squares = gains.values().map(|gain| (gain - sum / count).powi(2));
+    let mean = gains.iter().sum::<f64>() / count;
+    let squares = gains.iter().map(|gain| (gain - mean).powi(2));
     let variance = squares.sum::<f64>() / (count - 1.0);
-    sum / (count * variance).sqrt().max(f64::MIN_POSITIVE)
+    mean / (variance / count).sqrt().max(f64::MIN_POSITIVE)
 }
 
 #[cfg(test)]
@@ -160,5 +170,21 @@ mod tests {
         // Better everywhere, but in too few places.
         let few = |nearness: f32| bowl(0.8)(nearness).map(|mut all| all.drain(..400).collect());
         assert_eq!(nearness(0.25, 0.3, &few), 0.0);
+    }
+
+    /// A few heavy places that gain unequally do not hide that all places gain.
+    #[test]
+    fn heavy_places_count_as_others_do() {
+        let heavy = |nearness: f32| {
+            let heavier = |(i, e): (usize, Evidence)| Evidence {
+                weight: if i < 150 { 40.0 } else { 1.0 },
+                residual: if i < 50 { 2.0 * e.residual } else { e.residual },
+                ..e
+            };
+            let all = bowl(0.8)(nearness)?.into_iter().enumerate();
+            Some(all.map(heavier).collect())
+        };
+        let found = nearness(0.25, 0.3, &heavy);
+        assert!((found - 0.8).abs() < 0.03, "{found}");
     }
 }
