@@ -4,8 +4,8 @@
 //! environment is fitted at several distances, and what the best of them leaves unexplained, a smooth function of one over
 //! the distance, gives the distance by a parabola. It has to explain the photos better than a light that is endlessly far:
 //! the squares of the residuals are compared sample by sample, and samples of all views near one place count as one, since
-//! their errors have the same causes. What each place gains counts alike: the few places of a sphere, whose points weigh
-//! most in the fit, would else be all that the spread is made of.
+//! their errors have the same causes. A place is expected to gain in proportion to its weight: those of a sphere, whose
+//! points weigh most in the fit, gain more without being less certain.
 
 use nalgebra::Vector3;
 use rilievo_numerics::robust::median;
@@ -99,7 +99,8 @@ fn vertex(before: (f64, f64), middle: (f64, f64), after: (f64, f64)) -> f64 {
     middle.0 + 0.5 * (middle.0 - before.0) * (before.1 - after.1) / bend
 }
 
-/// Mean of what the cubes gain for their weight over its standard deviation; 0 of few cubes.
+/// What all gain over its standard deviation, as of a ratio to the weight: a cube deviates by what it gains beyond its
+/// share. 0 of few cubes.
 fn significance(cubes: &[[i32; 3]], weights: &[f64], far: &[f64], near: &[f64]) -> f64 {
     let mut sums: BTreeMap<[i32; 3], (f64, f64)> = BTreeMap::new();
     for (k, &cube) in cubes.iter().enumerate() {
@@ -110,12 +111,13 @@ fn significance(cubes: &[[i32; 3]], weights: &[f64], far: &[f64], near: &[f64]) 
     if sums.len() < MIN_CUBES {
         return 0.0;
     }
-    let gains: Vec<f64> = sums.values().map(|(gain, weight)| gain / weight).collect();
-    let count = gains.len() as f64;
-    let mean = gains.iter().sum::<f64>() / count;
-    let squares = gains.iter().map(|gain| (gain - mean).powi(2));
-    let variance = squares.sum::<f64>() / (count - 1.0);
-    mean / (variance / count).sqrt().max(f64::MIN_POSITIVE)
+    let add = |a: (f64, f64), b: &(f64, f64)| (a.0 + b.0, a.1 + b.1);
+    let (gain, weight) = sums.values().fold((0.0, 0.0), add);
+    let ratio = gain / weight;
+    let deviations = sums.values().map(|(gain, weight)| gain - ratio * weight);
+    let count = sums.len() as f64;
+    let variance = deviations.map(|d| d * d).sum::<f64>() * count / (count - 1.0);
+    gain / variance.sqrt().max(f64::MIN_POSITIVE)
 }
 
 #[cfg(test)]
@@ -174,7 +176,7 @@ mod tests {
 
     /// A few heavy places that gain unequally do not hide that all places gain.
     #[test]
-    fn heavy_places_count_as_others_do() {
+    fn heavy_places_do_not_hide_that_all_gain() {
         let heavy = |nearness: f32| {
             let heavier = |(i, e): (usize, Evidence)| Evidence {
                 weight: if i < 150 { 40.0 } else { 1.0 },
