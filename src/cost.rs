@@ -16,10 +16,10 @@ pub struct Cost {
 /// What a run is expected to cost.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// With the relief of photos whose brightness agrees.
+    /// With all steps.
     #[serde(flatten)]
     pub cost: Cost,
-    /// CPU time where the photos' brightness disagrees, so that their finest levels are interpolated, seconds.
+    /// CPU time without the finer search of photos whose brightness disagrees, seconds.
     pub least_cpu_seconds: f64,
     /// Disk space that is used besides while the run goes on, bytes.
     pub working_disk_bytes: f64,

@@ -16,7 +16,7 @@ use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
 use rilievo_scene::{Mask, StageId};
-use rilievo_shading::photo::{self, PhotoStep, Sizes};
+use rilievo_shading::photo::{self, Sizes};
 
 /// Masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
@@ -97,7 +97,7 @@ pub fn expect_with_masks(request: &Request, inputs: &Inputs, until: StageId, con
         work.map_or(Vec::new(), |work| in_time(work.steps(), until, slowness))
     };
     let later = steps_with(TYPICAL_SHARE, until);
-    let later = later.iter().filter(|step| step.replaces.is_none());
+    let later = later.iter().filter(|step| !step.is_optional);
     let later = later.map(|step| step.seconds).sum();
     console.expect(steps_with(1.0, StageId::Poses), later);
 }
@@ -175,8 +175,6 @@ impl Work {
             let steps = self.steps().into_iter();
             slowness * steps.filter(is_counted).map(|p| p.seconds).sum::<f64>()
         };
-        let with_relief = seconds(&|step| step.replaces.is_none());
-        let without = seconds(&|step| step.step != PhotoStep::Relief.message());
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
         let threads = rayon::current_num_threads();
         let shading = self.sizes.taken(&request.options.shading.photo, threads);
@@ -187,11 +185,11 @@ impl Work {
             .max(fusion.min(0.2e9 + 26.0 * self.object_px));
         Estimate {
             cost: Cost {
-                cpu_seconds: with_relief.max(without),
+                cpu_seconds: seconds(&|_| true),
                 peak_memory_bytes: needed.min(given),
                 disk_bytes: self.disk_bytes(),
             },
-            least_cpu_seconds: with_relief.min(without),
+            least_cpu_seconds: seconds(&|step| !step.is_optional),
             working_disk_bytes: 45.0 * self.object_px,
         }
     }
@@ -203,7 +201,7 @@ impl Work {
             of: of.name(),
             step,
             seconds,
-            replaces: None,
+            is_optional: false,
         };
         let mut steps = vec![
             of(StageId::Photos, "reading photos", 6.5e-8 * photo_px),
@@ -227,7 +225,7 @@ impl Work {
             ),
         ];
         steps.extend(self.shading.iter().map(|expected| ExpectedStep {
-            replaces: expected.replaces.map(PhotoStep::message),
+            is_optional: expected.is_optional,
             ..of(
                 StageId::Shading,
                 expected.step.message(),
@@ -279,7 +277,7 @@ impl Work {
             of: REPORT,
             step: WRITING,
             seconds: 0.3 * n + 2.4e-7 * photo_px,
-            replaces: None,
+            is_optional: false,
         });
         steps
     }

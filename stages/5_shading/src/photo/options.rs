@@ -17,8 +17,7 @@ pub struct PhotoOptions {
     /// costs time and memory (about 1 kB a pixel).
     pub max_fine_pixels: usize,
     /// Rounds at each level beyond, down to the photos' own pixels, tile by tile under the coarser level's light;
-    /// 0 interpolates from the finest level that is solved as a whole, as is done where the photos' brightness
-    /// disagrees. More than four change little.
+    /// 0 interpolates from the finest level that is solved as a whole. More than four change little.
     pub num_relief_rounds: usize,
     /// Light every pixel by what it sees of the environment, instead of nine distant harmonics for all.
     pub visibility: bool,

@@ -1,7 +1,7 @@
 //! Relief of a few pixels: the levels between the finest that is solved as a whole and the photos' own pixels.
 //!
-//! Shape and light stand when these levels begin. What they add is local, so each view is improved
-//! tile by tile (`relief_tiles`) under the light of the coarser level, interpolated: time is
+//! Shape and light stand when these levels begin. What they add is local, finer than what the coarser level resolves, so
+//! each view is improved tile by tile (`relief_tiles`) under the light of the coarser level, interpolated: time is
 //! proportional to the pixels, and the memory in work is that of the tiles. All tiles of a view
 //! start from the same surfaces, and their increments are blended, so that neither tiles nor
 //! threads show in the result; the views take turns. How much relief is to be expected follows from
@@ -24,7 +24,7 @@ use rilievo_numerics::robust::median;
 use rilievo_scene::ScratchError;
 use rilievo_scene::team::divided;
 use rilievo_stereo::consensus::fused_view;
-use rilievo_stereo::stored::{StoredLevel, StoredSurface};
+use rilievo_stereo::stored::StoredSurface;
 use rilievo_stereo::surfaces::Surfaces;
 use rilievo_stereo::tile::{self, Tile};
 use rilievo_stereo::{between_levels, plate, specks};
@@ -77,35 +77,44 @@ impl Solver<'_> {
         })
     }
 
-    /// A round over all views at the level that is out of core; after the last one the next finer level begins.
+    /// A round over all views at the level that is out of core; after the last one the next finer level begins. A level at
+    /// which photos hold no more detail than at the one before stays interpolated, as all beyond.
     pub fn relief(
         &mut self,
         shape: &Shape,
         light: Option<&Light>,
         mut rounds: ReliefRounds,
     ) -> Result<Outcome, ShadingError> {
-        let mut next = None;
-        let finished = match (light, &self.fine) {
-            (Some(light), Some(fine)) => self.relief_round(fine, light, &mut rounds)?,
-            _ => true,
-        };
-        if finished {
-            let (coarse, last) = (rounds.coarse, rounds.last);
-            self.report.steps.push(rounds.record);
-            self.fuse_fine()?;
-            if let Some(fine) = &self.fine {
-                self.show_surface(PhotoStep::Relief.message(), fine)?;
-            }
-            if self.fine.as_ref().is_some_and(|fine| fine.at > 0) {
-                next = Some(self.next_relief_level(shape, coarse, last)?);
-            }
-        } else {
-            next = Some(rounds);
-        }
-        Ok(Outcome {
+        let found = Outcome {
             light: None,
-            next: next.map(Phase::Relief),
-        })
+            next: None,
+        };
+        let (Some(light), Some(fine)) = (light, &self.fine) else {
+            return Ok(found);
+        };
+        if rounds.num_done == 0 {
+            self.measure_match(fine, &mut rounds.record)?;
+            if MatchLeft::of(&rounds.record).is_some_and(|left| !left.has_detail()) {
+                self.report.steps.push(rounds.record);
+                return Ok(found);
+            }
+        }
+        if !self.relief_round(fine, light, &mut rounds)? {
+            let next = Some(Phase::Relief(rounds));
+            return Ok(Outcome { next, ..found });
+        }
+        let (coarse, last) = (rounds.coarse, rounds.last);
+        self.report.steps.push(rounds.record);
+        self.fuse_fine()?;
+        if let Some(fine) = &self.fine {
+            self.show_surface(PhotoStep::Relief.message(), fine)?;
+        }
+        if self.fine.as_ref().is_some_and(|fine| fine.at > 0) {
+            let next = self.next_relief_level(shape, coarse, last)?;
+            let next = Some(Phase::Relief(next));
+            return Ok(Outcome { next, ..found });
+        }
+        Ok(found)
     }
 
     /// All views' surfaces out of core made one.
@@ -175,11 +184,9 @@ impl Solver<'_> {
     }
 
     /// The residual between the photos before the first round at a level, on samples.
-    fn measure_match(
-        &self,
-        level: &StoredLevel<'_>,
-        record: &mut StepReport,
-    ) -> Result<(), ShadingError> {
+    fn measure_match(&self, fine: &FineShape, record: &mut StepReport) -> Result<(), ShadingError> {
+        let sharpness = self.report.sharpness();
+        let level = &self.scene.stored_level(fine, &sharpness);
         let options = PHOTOS_ONLY.of_step(level.focal(), self.report.sigma_match);
         let reading = self.reading();
         let (mut residuals, mut likeness) = (Vec::new(), Likeness::default());
@@ -221,9 +228,6 @@ impl Solver<'_> {
         // Noise of single pixels would pass for detail here.
         let sharpness = self.report.sharpness();
         let level = scene.stored_level(fine, &sharpness);
-        if rounds.record.match_residual.is_none() {
-            self.measure_match(&level, &mut rounds.record)?;
-        }
         let left = MatchLeft::of(&rounds.record);
         let shared_error = left.map_or(1.0, |left| left.shared_error(light.residual()));
         let weights = rounds.last.finer(false, at == 0, shared_error);

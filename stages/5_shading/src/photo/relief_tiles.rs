@@ -7,9 +7,11 @@ use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_numerics::plate_system::PlateError;
+use rilievo_numerics::plate_system::{PixelNumbering, PlateError};
 use rilievo_scene::ScratchError;
 use rilievo_stereo::level::{Level, ViewGrid, depth_rasters};
+use rilievo_stereo::patch_cost::PATCH_SIGMA_PX;
+use rilievo_stereo::sampling;
 use rilievo_stereo::spread::Parents;
 use rilievo_stereo::stored::StoredLevel;
 use rilievo_stereo::surfaces::{Reading, Surfaces};
@@ -21,6 +23,10 @@ use std::borrow::Cow;
 /// Side of the samples on which a view's noise is measured, pixels, and their largest number.
 const SAMPLE_PX: usize = 128;
 const MAX_NUM_SAMPLES: usize = 8;
+/// Standard deviation of the Gaussian beyond which the coarser level has resolved the surface, pixels: its patches'.
+const RESOLVED_PX: f64 = 2.0 * PATCH_SIGMA_PX;
+/// Increment that is relief, pixel footprints; larger ones move an edge of depth.
+const MAX_RELIEF_PX: f32 = 1.0;
 
 /// The light of a view at a coarser level, to be read at finer ones.
 pub(crate) struct CoarseLight<'a> {
@@ -133,6 +139,20 @@ pub(crate) fn sample_cores(view: &ViewGrid) -> Vec<Window> {
     inner.into_iter().step_by(step).collect()
 }
 
+/// Takes from increments of log depth what the coarser level has resolved, their mean over a Gaussian: patches and whole
+/// neighbourhoods held the surface there, which single pixels hold less.
+fn keep_unresolved(pixels: &PixelNumbering, focal: f64, increment: &mut [f64]) {
+    let all = vec![1.0; increment.len()];
+    let relief: Vec<[f32; 1]> = increment
+        .iter()
+        .map(|&d| [((d * focal) as f32).clamp(-MAX_RELIEF_PX, MAX_RELIEF_PX)])
+        .collect();
+    let slow = sampling::smooth(pixels, &relief, &all, RESOLVED_PX);
+    for (d, slow) in increment.iter_mut().zip(slow) {
+        *d -= f64::from(slow[0]) / focal;
+    }
+}
+
 impl ViewAtLevel<'_> {
     /// One Gauss-Newton step of a tile.
     pub(crate) fn step(&self, core: &Window) -> Result<TileStep, TileError> {
@@ -141,10 +161,12 @@ impl ViewAtLevel<'_> {
         let (light, depth) = (self.light_of(&tile), &tile.depths[0]);
         let rasters = &surfaces.rasters;
         let term = ShadingTerm::new(&tile.level, 0, depth, rasters, &light, &self.shading);
-        let solver = PlateSolver::iterative(&tile.level.views[0].pixels);
+        let pixels = &tile.level.views[0].pixels;
+        let solver = PlateSolver::iterative(pixels);
         let outcome = step::improve(&surfaces, 0, &solver, depth, Some(&term), self.options)?;
         let increment = outcome.depth.iter().zip(depth);
-        let increment = increment.map(|(after, before)| after - before).collect();
+        let mut increment: Vec<f64> = increment.map(|(after, before)| after - before).collect();
+        keep_unresolved(pixels, self.level.focal(), &mut increment);
         let residuals = outcome.matches.some_residuals().collect();
         Ok(TileStep {
             places: tile.places,
@@ -176,5 +198,61 @@ impl ViewAtLevel<'_> {
             })
             .collect::<Result<Vec<ChromaNoise>, ScratchError>>()?;
         Ok(ChromaNoise::median_of(&parts))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::Mask;
+    use std::f64::consts::TAU;
+
+    /// What a wave of increments of .3 footprints along x keeps of its size, far from the border.
+    fn kept(wavelength: f64) -> f64 {
+        const FOCAL: f64 = 1000.0;
+        let pixels = PixelNumbering::new(&Mask::filled(240, 24, true));
+        let wave: Vec<f64> = (0..pixels.len())
+            .map(|p| 0.3 / FOCAL * (TAU * f64::from(pixels.xs[p]) / wavelength).sin())
+            .collect();
+        let mut increment = wave.clone();
+        keep_unresolved(&pixels, FOCAL, &mut increment);
+        let inner = (0..pixels.len()).filter(|&p| (60..180).contains(&pixels.xs[p]));
+        let (product, square) = inner.fold((0.0, 0.0), |(product, square), p| {
+            (product + wave[p] * increment[p], square + wave[p] * wave[p])
+        });
+        product / square
+    }
+
+    #[test]
+    fn only_what_the_coarser_level_did_not_resolve_is_kept() {
+        for wavelength in [6.0, 12.0, 30.0, 60.0, 120.0] {
+            let passed = 1.0 - (-0.5 * (TAU * RESOLVED_PX / wavelength).powi(2)).exp();
+            let found = kept(wavelength);
+            // The Gaussian is made of boxes of whole pixels.
+            assert!(
+                (found - passed).abs() < 0.04,
+                "{found} at {wavelength}, {passed} expected"
+            );
+        }
+    }
+
+    #[test]
+    fn an_edge_that_moves_leaves_the_surface_beside_it() {
+        const FOCAL: f64 = 1000.0;
+        let pixels = PixelNumbering::new(&Mask::filled(61, 9, true));
+        let jump = 40.0 / FOCAL;
+        let mut increment: Vec<f64> = (0..pixels.len())
+            .map(|p| if pixels.xs[p] == 30 { jump } else { 0.0 })
+            .collect();
+        keep_unresolved(&pixels, FOCAL, &mut increment);
+        for (p, d) in increment.iter().enumerate() {
+            let left = if pixels.xs[p] == 30 { d - jump } else { *d };
+            assert!(
+                left.abs() < 0.15 / FOCAL,
+                "{} at {}",
+                left * FOCAL,
+                pixels.xs[p]
+            );
+        }
     }
 }

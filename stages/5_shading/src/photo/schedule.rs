@@ -219,13 +219,22 @@ impl MatchLeft {
     /// The match term's σ_m once shading has shaped the surface. Disagreement, from which σ_m follows
     /// at first, also counts what varies slowly over the photos, which the gain fields take up.
     ///
-    /// Where neighbouring residuals correlate by `ρ`, as in blurred photos, a square of side
-    /// `(1 + ρ) / (1 - ρ)` pixels counts as one pixel.
+    /// Alike residuals, as in blurred photos, count as one pixel.
     pub fn sigma(self) -> f64 {
-        let rho = self.correlation.min(MAX_CORRELATION);
-        let side = (1.0 + rho) / (1.0 - rho);
-        let share = SIGMA_SHARE_OF_RESIDUAL * (side / USUAL_SIDE).max(1.0);
+        let share = SIGMA_SHARE_OF_RESIDUAL * (self.alike_px() / USUAL_SIDE).max(1.0);
         (share * self.residual).max(MIN_SIGMA_MATCH)
+    }
+
+    /// Whether the photos hold detail at this level that they do not hold at half its resolution, where residuals are
+    /// alike over half as many pixels.
+    pub fn has_detail(self) -> bool {
+        self.alike_px() < 2.0 * USUAL_SIDE
+    }
+
+    /// Side of the square whose residuals are alike, pixels: `(1 + ρ) / (1 - ρ)` of the correlation `ρ` of neighbours.
+    fn alike_px(self) -> f64 {
+        let rho = self.correlation.min(MAX_CORRELATION);
+        (1.0 + rho) / (1.0 - rho)
     }
 
     /// Factor of shading's σ_s at the finer levels, 1 to 3.
@@ -257,6 +266,11 @@ mod tests {
         assert!((blurred / sharp - 9.0 / USUAL_SIDE).abs() < 1e-12);
         assert_eq!(left(0.02, 1.0).sigma(), left(0.02, 0.99).sigma());
         assert_eq!(left(0.0, 0.0).sigma(), MIN_SIGMA_MATCH);
+        // (1 + 0.85) / (1 - 0.85) = 12.3 pixels.
+        assert_eq!(
+            [0.3, 0.8, 0.85].map(|rho| left(0.02, rho).has_detail()),
+            [true, true, false]
+        );
         assert_eq!(left(0.02, 0.3).shared_error(0.01), 1.0);
         assert_eq!(left(0.02, 0.3).shared_error(0.04), 2.0);
         assert_eq!(left(0.0, 0.0).shared_error(0.04), MAX_SHARED_ERROR);

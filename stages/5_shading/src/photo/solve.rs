@@ -313,10 +313,9 @@ impl Solver<'_> {
         at == self.scene.finest && (at == 0 || !self.shapes_relief(light))
     }
 
-    /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it.
-    /// Where they do not, single pixels show gloss and dirt more than relief.
+    /// Whether the levels beyond are solved by tiles.
     fn shapes_relief(&self, light: Option<&Light>) -> bool {
-        self.options.num_relief_rounds > 0 && light.is_some() && !self.photos_disagree()
+        self.options.num_relief_rounds > 0 && light.is_some()
     }
 
     /// The start of relief at the levels that are not solved as a whole, if it is shaped.
@@ -365,7 +364,8 @@ impl Solver<'_> {
             (Some(last), Some(light)) => last.shared_error(light.residual()),
             _ => 1.0,
         };
-        let is_finest = self.is_last(at, light.as_ref());
+        // Searched depths err by themselves, as the finest ones do.
+        let is_finest = searches || self.is_last(at, light.as_ref());
         let mut weights = last.finer(searches, is_finest, shared_error);
         if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
             let cap = MAX_CORRECTION * light.residual();

@@ -38,8 +38,8 @@ pub struct ExpectedStep {
     pub step: PhotoStep,
     /// CPU seconds of the machine that the factors were measured on.
     pub cpu_seconds: f64,
-    /// The later step in whose place some runs take this one; `None` for a step of every run.
-    pub replaces: Option<PhotoStep>,
+    /// Whether only some runs take it.
+    pub is_optional: bool,
 }
 
 impl PhotoStep {
@@ -71,7 +71,7 @@ pub fn forecast(sizes: &Sizes, options: &PhotoOptions) -> Vec<ExpectedStep> {
     let expected = |step, cpu_seconds| ExpectedStep {
         step,
         cpu_seconds,
-        replaces: None,
+        is_optional: false,
     };
     let mut steps = vec![
         expected(PhotoStep::Exposure, 2.5 * coarse),
@@ -84,8 +84,8 @@ pub fn forecast(sizes: &Sizes, options: &PhotoOptions) -> Vec<ExpectedStep> {
     }
     let finer_px = whole_px - coarse_px;
     steps.push(ExpectedStep {
-        // Photos whose brightness disagrees have no relief.
-        replaces: Some(PhotoStep::Relief),
+        // Where the photos' brightness disagrees.
+        is_optional: true,
         ..expected(PhotoStep::FinerSearch, 1e-4 * finer_px)
     });
     steps.push(expected(PhotoStep::Finer, 2.5e-5 * finer_px));

@@ -49,6 +49,8 @@ impl Plane {
 /// Half-width of a patch, pixels. A wider one reaches over edges and rounds them off, a narrower
 /// one holds too little of a plain surface.
 const RADIUS_PX: i32 = 4;
+/// Standard deviation of a patch's Gaussian, pixels.
+pub const PATCH_SIGMA_PX: f64 = 0.6 * RADIUS_PX as f64;
 /// `γ` of the module's text.
 const CONTRAST: f32 = 0.15;
 /// Largest cost of unlike means.
@@ -187,7 +189,7 @@ impl<'a> Matcher<'a> {
     ) -> Self {
         let view = &level.views[index];
         let (pixels, grey) = (&view.pixels, &view.grey);
-        let spread = 2.0 * (0.6 * RADIUS_PX as f32).powi(2);
+        let spread = 2.0 * (PATCH_SIGMA_PX as f32).powi(2);
         let gaussian = offsets()
             .map(|(dx, dy)| (-((dx * dx + dy * dy) as f32) / spread).exp())
             .collect();
