@@ -16,10 +16,11 @@ pub struct Cost {
 /// What a run is expected to cost.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// With all steps.
+    /// With all steps that some photos need.
     #[serde(flatten)]
     pub cost: Cost,
-    /// CPU time without the finer search of photos whose brightness disagrees, seconds.
+    /// CPU time without the finer search of photos whose brightness disagrees, and without relief at pixels that hold no
+    /// more detail than coarser ones, seconds.
     pub least_cpu_seconds: f64,
     /// Disk space that is used besides while the run goes on, bytes.
     pub working_disk_bytes: f64,

@@ -16,7 +16,7 @@ use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
 use rilievo_scene::{Mask, StageId};
-use rilievo_shading::photo::{self, Sizes};
+use rilievo_shading::photo::{self, PhotoStep, Sizes};
 
 /// Masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
@@ -175,6 +175,8 @@ impl Work {
             let steps = self.steps().into_iter();
             slowness * steps.filter(is_counted).map(|p| p.seconds).sum::<f64>()
         };
+        let is_needed =
+            |step: &ExpectedStep| !step.is_optional && step.step != PhotoStep::Relief.message();
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
         let threads = rayon::current_num_threads();
         let shading = self.sizes.taken(&request.options.shading.photo, threads);
@@ -189,7 +191,7 @@ impl Work {
                 peak_memory_bytes: needed.min(given),
                 disk_bytes: self.disk_bytes(),
             },
-            least_cpu_seconds: seconds(&|step| !step.is_optional),
+            least_cpu_seconds: seconds(&is_needed),
             working_disk_bytes: 45.0 * self.object_px,
         }
     }

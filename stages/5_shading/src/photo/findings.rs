@@ -119,7 +119,7 @@ fn uneven(mut disagreements: Vec<(&str, f64)>) -> Option<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photo::StepReport;
+    use crate::photo::{PhotoStep, StepReport};
     use rilievo_scene::Verdict;
 
     fn verdict(found: Option<Finding>) -> Verdict {
@@ -153,6 +153,16 @@ mod tests {
         assert_eq!(sharp(Some(0.74)), Verdict::Good);
         assert_eq!(sharp(Some(0.89)), Verdict::Usable);
         assert_eq!(sharp(Some(1.0)), Verdict::Usable);
+        // Relief that ended at half the photos' resolution for want of detail.
+        let mut ended = PhotoReport::default();
+        ended.steps.push(StepReport {
+            level: 1,
+            step: PhotoStep::Relief,
+            match_correlation: Some(0.85),
+            ..Default::default()
+        });
+        assert_eq!(Verdict::of(&ended.findings()), Verdict::Usable);
+        assert!((ended.resolved_px() - 2.0 * 37.0 / 3.0 / 7.0).abs() < 0.01);
         let resolved = |level, correlation| {
             let mut photo = PhotoReport::default();
             photo.steps.push(StepReport {

@@ -99,8 +99,8 @@ fn vertex(before: (f64, f64), middle: (f64, f64), after: (f64, f64)) -> f64 {
     middle.0 + 0.5 * (middle.0 - before.0) * (before.1 - after.1) / bend
 }
 
-/// What all gain over its standard deviation, as of a ratio to the weight: a cube deviates by what it gains beyond its
-/// share. 0 of few cubes.
+/// Gain of all cubes over its standard error as that of a ratio: a cube's deviation is what it gains beyond its weight's
+/// share of the gain of all. 0 of few cubes.
 fn significance(cubes: &[[i32; 3]], weights: &[f64], far: &[f64], near: &[f64]) -> f64 {
     let mut sums: BTreeMap<[i32; 3], (f64, f64)> = BTreeMap::new();
     for (k, &cube) in cubes.iter().enumerate() {

@@ -17,7 +17,8 @@ pub struct PhotoOptions {
     /// costs time and memory (about 1 kB a pixel).
     pub max_fine_pixels: usize,
     /// Rounds at each level beyond, down to the photos' own pixels, tile by tile under the coarser level's light;
-    /// 0 interpolates from the finest level that is solved as a whole. More than four change little.
+    /// 0 interpolates from the finest level that is solved as a whole, as is done from the level on at which the photos
+    /// hold no more detail. More than four change little.
     pub num_relief_rounds: usize,
     /// Light every pixel by what it sees of the environment, instead of nine distant harmonics for all.
     pub visibility: bool,
@@ -55,8 +56,8 @@ pub struct Effort {
     /// Distance between the views' searched depths, in pixel footprints, from which they count as
     /// noisy.
     pub noisy_search_px: f64,
-    /// Search depth again at each finer level where the photos' brightness disagrees. Without it
-    /// the surface of such photos keeps no more than the coarse level resolves.
+    /// Search depth again at each finer level that is solved as a whole where the photos' brightness disagrees. Without
+    /// it the surface of such photos keeps little more than the coarse level resolves.
     pub finer_search: bool,
     /// Rays per pixel of the visibility light.
     pub num_rays: usize,

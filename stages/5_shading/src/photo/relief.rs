@@ -78,7 +78,7 @@ impl Solver<'_> {
     }
 
     /// A round over all views at the level that is out of core; after the last one the next finer level begins. A level at
-    /// which photos hold no more detail than at the one before stays interpolated, as all beyond.
+    /// which photos hold no more detail than at the one before ends relief: it and all finer ones are interpolated.
     pub fn relief(
         &mut self,
         shape: &Shape,
@@ -95,6 +95,9 @@ impl Solver<'_> {
         if rounds.num_done == 0 {
             self.measure_match(fine, &mut rounds.record)?;
             if MatchLeft::of(&rounds.record).is_some_and(|left| !left.has_detail()) {
+                if fine.at + 1 == rounds.coarse {
+                    self.fine = None;
+                }
                 self.report.steps.push(rounds.record);
                 return Ok(found);
             }

@@ -5,7 +5,7 @@
 use super::environment::{self, LightScene};
 use super::light;
 use super::options::{Effort, PhotoOptions};
-use super::relief_tiles::{CoarseLight, ViewAtLevel, sample_cores};
+use super::relief_tiles::{CoarseLight, ViewAtLevel, keep_unresolved, sample_cores};
 use super::rendered_tests::{
     World, depths, known_light, loaded, of_spheres, options, photographed,
 };
@@ -106,12 +106,13 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     let term = ShadingTerm::new(fine, i, &start[i], &surfaces.rasters, &of_pixels, &shading);
     let solver = PlateSolver::iterative(&view.pixels);
     let whole = step::improve(&surfaces, i, &solver, &start[i], Some(&term), &options).unwrap();
-    let whole: Vec<f64> = whole
+    let mut whole: Vec<f64> = whole
         .depth
         .iter()
         .zip(&start[i])
         .map(|(a, b)| a - b)
         .collect();
+    keep_unresolved(&view.pixels, fine.focal(), &mut whole);
 
     let surface = StoredSurface::new(&scene.stored, 0, &MemoryScratch).unwrap();
     for (i, depth) in start.iter().enumerate() {

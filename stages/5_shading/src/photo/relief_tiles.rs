@@ -23,9 +23,10 @@ use std::borrow::Cow;
 /// Side of the samples on which a view's noise is measured, pixels, and their largest number.
 const SAMPLE_PX: usize = 128;
 const MAX_NUM_SAMPLES: usize = 8;
-/// Standard deviation of the Gaussian beyond which the coarser level has resolved the surface, pixels: its patches'.
+/// Standard deviation of the Gaussian beyond which the coarser level has resolved the surface, pixels: that of a patch there.
 const RESOLVED_PX: f64 = 2.0 * PATCH_SIGMA_PX;
-/// Increment that is relief, pixel footprints; larger ones move an edge of depth.
+/// Largest increment that counts in the mean over the Gaussian, pixel footprints: more moves an edge of depth, whose
+/// surroundings stay.
 const MAX_RELIEF_PX: f32 = 1.0;
 
 /// The light of a view at a coarser level, to be read at finer ones.
@@ -139,9 +140,9 @@ pub(crate) fn sample_cores(view: &ViewGrid) -> Vec<Window> {
     inner.into_iter().step_by(step).collect()
 }
 
-/// Takes from increments of log depth what the coarser level has resolved, their mean over a Gaussian: patches and whole
-/// neighbourhoods held the surface there, which single pixels hold less.
-fn keep_unresolved(pixels: &PixelNumbering, focal: f64, increment: &mut [f64]) {
+/// Takes from increments of log depth what the coarser level has resolved, their mean over a Gaussian: there patches, or
+/// larger pixels of less noise, held the surface, which single pixels hold less.
+pub(crate) fn keep_unresolved(pixels: &PixelNumbering, focal: f64, increment: &mut [f64]) {
     let all = vec![1.0; increment.len()];
     let relief: Vec<[f32; 1]> = increment
         .iter()

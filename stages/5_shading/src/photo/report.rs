@@ -164,13 +164,16 @@ impl PhotoReport {
         pixel.max(blurred)
     }
 
-    /// Side of the area over which the residuals between the photos are alike in the last step, pixels:
+    /// Side of the area over which the residuals between the photos are alike in the last step, pixels of the photos:
     /// `(1 + ρ) / (1 - ρ)` of neighbours that correlate by ρ. Detail finer than that the photos do not hold. `None`
-    /// where the photos' own pixels were not looked at.
+    /// where neither the photos' own pixels were looked at nor relief ended before them for want of detail.
     pub fn alike_px(&self) -> Option<f64> {
         let mut steps = self.steps.iter().rev();
         let last = steps.find(|step| step.match_correlation.is_some())?;
-        let rho = last.match_correlation.filter(|_| last.level == 0)?;
-        Some((1.0 + rho) / (1.0 - rho).max(f64::EPSILON))
+        let ended = last.step == PhotoStep::Relief && last.num_rounds == 0;
+        let rho = last
+            .match_correlation
+            .filter(|_| last.level == 0 || ended)?;
+        Some((1.0 + rho) / (1.0 - rho).max(f64::EPSILON) * (last.level as f64).exp2())
     }
 }

@@ -75,8 +75,8 @@ impl Solver<'_> {
         weights.of_step(self.scene.level(at).focal(), sigma_match)
     }
 
-    /// The residual between photos that agree in the last step. Photos that disagree have none: on
-    /// a surface that the patch search made rough, it measures the roughness too.
+    /// The residual between photos that agree in the last step. For levels solved as a whole photos that disagree have
+    /// none: on a surface that the patch search made rough, it measures the roughness too.
     pub fn last_match(&self) -> Option<MatchLeft> {
         let mut steps = self.report.steps.iter().rev();
         steps

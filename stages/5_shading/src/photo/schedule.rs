@@ -225,8 +225,9 @@ impl MatchLeft {
         (share * self.residual).max(MIN_SIGMA_MATCH)
     }
 
-    /// Whether the photos hold detail at this level that they do not hold at half its resolution, where residuals are
-    /// alike over half as many pixels.
+    /// Whether the photos hold detail at this level that they do not hold at half its resolution. There alike residuals
+    /// are half as wide; where they still are no narrower than those of a sharp photo, all detail is in that level. All
+    /// views count alike: where most are blurred, the sharp one's detail has no other to confirm it.
     pub fn has_detail(self) -> bool {
         self.alike_px() < 2.0 * USUAL_SIDE
     }

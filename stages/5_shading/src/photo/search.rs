@@ -5,8 +5,8 @@
 //! the gains divided out the coarse level is searched again, where patches' means are compared as well. A
 //! search is repeated against the depths that the other views found.
 //!
-//! Finer levels are searched where photos disagree too much to be compared pixel by pixel. Gloss,
-//! bounce and dirt make two photos of one point differ; σ_m grows with that disagreement, and
+//! Finer levels that are solved as a whole are searched where photos disagree too much for single pixels
+//! to find a surface. Gloss, bounce and dirt make two photos of one point differ; σ_m grows with that disagreement, and
 //! single pixels lose their hold on the surface. The correlation of patches cancels gain and
 //! offset, and still finds depth to a fraction of a pixel. So the tangent planes of the solved
 //! surface are searched around once more, and the surface starts again from the depths that another
@@ -34,7 +34,7 @@ use std::time::Instant;
 const MIN_DISAGREEMENT: f64 = 0.012;
 /// Beyond this the photos hardly show the same object.
 const MAX_DISAGREEMENT: f64 = 0.2;
-/// Disagreement from which single pixels are no match.
+/// Disagreement from which single pixels find no surface.
 const LARGE_DISAGREEMENT: f64 = 0.055;
 /// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
 /// surface and moves nothing.

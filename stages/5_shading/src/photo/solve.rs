@@ -308,12 +308,14 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// Whether no finer level than `at` is solved, be it as a whole or by tiles.
+    /// Whether no level finer than `at` brings the views' surfaces nearer to each other: it is the last one that is solved
+    /// as a whole, and searched again, or not followed by tiles.
     fn is_last(&self, at: usize, light: Option<&Light>) -> bool {
-        at == self.scene.finest && (at == 0 || !self.shapes_relief(light))
+        let is_followed = at > 0 && self.shapes_relief(light) && !self.photos_disagree();
+        at == self.scene.finest && !is_followed
     }
 
-    /// Whether the levels beyond are solved by tiles.
+    /// Whether the levels beyond are solved by tiles, as far as the photos hold detail there.
     fn shapes_relief(&self, light: Option<&Light>) -> bool {
         self.options.num_relief_rounds > 0 && light.is_some()
     }
@@ -364,8 +366,7 @@ impl Solver<'_> {
             (Some(last), Some(light)) => last.shared_error(light.residual()),
             _ => 1.0,
         };
-        // Searched depths err by themselves, as the finest ones do.
-        let is_finest = searches || self.is_last(at, light.as_ref());
+        let is_finest = self.is_last(at, light.as_ref());
         let mut weights = last.finer(searches, is_finest, shared_error);
         if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
             let cap = MAX_CORRECTION * light.residual();
