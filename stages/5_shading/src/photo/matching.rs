@@ -65,6 +65,11 @@ impl Likeness {
     }
 }
 
+/// Side of the square whose residuals are alike, pixels: `(1 + ρ) / (1 - ρ)` of the correlation `ρ` of neighbours.
+pub(crate) fn alike_px(correlation: f64) -> f64 {
+    (1.0 + correlation) / (1.0 - correlation).max(f64::EPSILON)
+}
+
 impl MatchTerms {
     /// Residuals of some of the pixels that are compared, spread evenly.
     pub fn some_residuals(&self) -> impl Iterator<Item = f64> + '_ {

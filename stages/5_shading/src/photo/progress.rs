@@ -51,6 +51,16 @@ pub(crate) struct Outcome {
     pub next: Option<Phase>,
 }
 
+impl Outcome {
+    /// Of a phase after which relief goes on, or nothing.
+    pub fn relief(next: Option<ReliefRounds>) -> Self {
+        Self {
+            light: None,
+            next: next.map(Phase::Relief),
+        }
+    }
+}
+
 /// Where the outer iterations are.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct OuterIterations {

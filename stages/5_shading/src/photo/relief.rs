@@ -10,7 +10,7 @@
 use super::light::Light;
 use super::matching::{self, Likeness};
 use super::memory;
-use super::progress::{Outcome, Phase, ReliefRounds};
+use super::progress::ReliefRounds;
 use super::relief_tiles::{CoarseLight, TileError, TileStep, ViewAtLevel, sample_cores};
 use super::report::StepReport;
 use super::schedule::{IterationWeights, MatchLeft, PHOTOS_ONLY};
@@ -77,34 +77,31 @@ impl Solver<'_> {
         })
     }
 
-    /// A round over all views at the level that is out of core; after the last one the next finer level begins. A level at
-    /// which photos hold no more detail than at the one before ends relief: it and all finer ones are interpolated.
+    /// A round over all views at the level that is out of core; after the last one the next finer level begins. Returns
+    /// where relief goes on. A level at which photos hold no more detail than at the one before ends it: it and all finer
+    /// ones are interpolated.
     pub fn relief(
         &mut self,
         shape: &Shape,
         light: Option<&Light>,
         mut rounds: ReliefRounds,
-    ) -> Result<Outcome, ShadingError> {
-        let found = Outcome {
-            light: None,
-            next: None,
-        };
+    ) -> Result<Option<ReliefRounds>, ShadingError> {
         let (Some(light), Some(fine)) = (light, &self.fine) else {
-            return Ok(found);
+            return Ok(None);
         };
         if rounds.num_done == 0 {
             self.measure_match(fine, &mut rounds.record)?;
             if MatchLeft::of(&rounds.record).is_some_and(|left| !left.has_detail()) {
+                // The whole level's own surface says the same, not smoothed by going up and down again.
                 if fine.at + 1 == rounds.coarse {
                     self.fine = None;
                 }
                 self.report.steps.push(rounds.record);
-                return Ok(found);
+                return Ok(None);
             }
         }
         if !self.relief_round(fine, light, &mut rounds)? {
-            let next = Some(Phase::Relief(rounds));
-            return Ok(Outcome { next, ..found });
+            return Ok(Some(rounds));
         }
         let (coarse, last) = (rounds.coarse, rounds.last);
         self.report.steps.push(rounds.record);
@@ -112,12 +109,10 @@ impl Solver<'_> {
         if let Some(fine) = &self.fine {
             self.show_surface(PhotoStep::Relief.message(), fine)?;
         }
-        if self.fine.as_ref().is_some_and(|fine| fine.at > 0) {
-            let next = self.next_relief_level(shape, coarse, last)?;
-            let next = Some(Phase::Relief(next));
-            return Ok(Outcome { next, ..found });
-        }
-        Ok(found)
+        let is_finest = self.fine.as_ref().is_none_or(|fine| fine.at == 0);
+        (!is_finest)
+            .then(|| self.next_relief_level(shape, coarse, last))
+            .transpose()
     }
 
     /// All views' surfaces out of core made one.
@@ -188,6 +183,7 @@ impl Solver<'_> {
 
     /// The residual between the photos before the first round at a level, on samples.
     fn measure_match(&self, fine: &FineShape, record: &mut StepReport) -> Result<(), ShadingError> {
+        let began = Instant::now();
         let sharpness = self.report.sharpness();
         let level = &self.scene.stored_level(fine, &sharpness);
         let options = PHOTOS_ONLY.of_step(level.focal(), self.report.sigma_match);
@@ -215,6 +211,7 @@ impl Solver<'_> {
         }
         record.match_residual = median(&mut residuals);
         record.match_correlation = likeness.correlation();
+        record.seconds = began.elapsed().as_secs_f64();
         Ok(())
     }
 

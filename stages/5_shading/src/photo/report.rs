@@ -1,5 +1,6 @@
 //! Facts on a run of the photo model.
 
+use super::matching;
 use super::steps::PhotoStep;
 use super::validation::ValidationReport;
 use rilievo_scene::ViewLighting;
@@ -164,9 +165,8 @@ impl PhotoReport {
         pixel.max(blurred)
     }
 
-    /// Side of the area over which the residuals between the photos are alike in the last step, pixels of the photos:
-    /// `(1 + ρ) / (1 - ρ)` of neighbours that correlate by ρ. Detail finer than that the photos do not hold. `None`
-    /// where neither the photos' own pixels were looked at nor relief ended before them for want of detail.
+    /// Side of the area over which the residuals between the photos are alike in the last step, pixels of the photos
+    /// (`matching::alike_px`). Detail finer than that the photos do not hold. `None` where neither the photos' own pixels were looked at nor relief ended before them for want of detail.
     pub fn alike_px(&self) -> Option<f64> {
         let mut steps = self.steps.iter().rev();
         let last = steps.find(|step| step.match_correlation.is_some())?;
@@ -174,6 +174,6 @@ impl PhotoReport {
         let rho = last
             .match_correlation
             .filter(|_| last.level == 0 || ended)?;
-        Some((1.0 + rho) / (1.0 - rho).max(f64::EPSILON) * (last.level as f64).exp2())
+        Some(matching::alike_px(rho) * (last.level as f64).exp2())
     }
 }

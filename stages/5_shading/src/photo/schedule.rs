@@ -1,6 +1,6 @@
 //! Weights of the terms, from the first surface to the photos' own pixels.
 
-use super::matching::MatchOptions;
+use super::matching::{self, MatchOptions};
 use super::report::StepReport;
 use super::shading::ShadingWeights;
 use super::step::StepOptions;
@@ -232,10 +232,8 @@ impl MatchLeft {
         self.alike_px() < 2.0 * USUAL_SIDE
     }
 
-    /// Side of the square whose residuals are alike, pixels: `(1 + ρ) / (1 - ρ)` of the correlation `ρ` of neighbours.
     fn alike_px(self) -> f64 {
-        let rho = self.correlation.min(MAX_CORRELATION);
-        (1.0 + rho) / (1.0 - rho)
+        matching::alike_px(self.correlation.min(MAX_CORRELATION))
     }
 
     /// Factor of shading's σ_s at the finer levels, 1 to 3.

@@ -5,7 +5,7 @@ use super::contradiction;
 use super::light::Light;
 use super::options::PhotoOptions;
 use super::output::ShapedViews;
-use super::progress::{Outcome, OuterIterations, Phase, Progress};
+use super::progress::{Outcome, OuterIterations, Phase, Progress, ReliefRounds};
 use super::report::PhotoReport;
 use super::schedule::{IterationWeights, PHOTOS_ONLY};
 use super::shape::{Shape, Surface};
@@ -70,10 +70,12 @@ pub(crate) fn solve(
         let outcome = match progress.phase {
             Phase::Outer(outer) => solver.outer(shape, outer, posed, lighting)?,
             Phase::Finer(last) if shape.at == solver.scene.finest => {
-                solver.begin_relief(shape, light.as_ref(), last)?
+                Outcome::relief(solver.begin_relief(shape, light.as_ref(), last)?)
             }
             Phase::Finer(last) => solver.finer(shape, light.take(), last, posed)?,
-            Phase::Relief(rounds) => solver.relief(shape, light.as_ref(), rounds)?,
+            Phase::Relief(rounds) => {
+                Outcome::relief(solver.relief(shape, light.as_ref(), rounds)?)
+            }
         };
         let new_light = outcome.light.is_some();
         if new_light {
@@ -326,13 +328,11 @@ impl Solver<'_> {
         shape: &Shape,
         light: Option<&Light>,
         last: IterationWeights,
-    ) -> Result<Outcome, ShadingError> {
+    ) -> Result<Option<ReliefRounds>, ShadingError> {
         let is_shaped = shape.at > 0 && self.shapes_relief(light);
-        let next = is_shaped.then(|| self.next_relief_level(shape, shape.at, last));
-        Ok(Outcome {
-            light: None,
-            next: next.transpose()?.map(Phase::Relief),
-        })
+        is_shaped
+            .then(|| self.next_relief_level(shape, shape.at, last))
+            .transpose()
     }
 
     /// The next finer level that is solved as a whole, with the light of the one before and the
