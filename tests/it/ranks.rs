@@ -40,9 +40,7 @@ fn a_build_without_mpi_refuses_to_be_one_of_several() {
 
 #[cfg(feature = "mpi")]
 mod together {
-    use super::common::{
-        SmallDisk, arg, differences, json_of, noise_run, reconstruct_arguments, synthetic_set,
-    };
+    use super::common::{SmallDisk, arg, differences, json_of, noise_run, small_arguments};
     use rilievo_scene::StageId;
     use std::path::{Path, PathBuf};
     use std::process::{Command, Output, Stdio};
@@ -85,9 +83,9 @@ mod together {
         arguments
     }
 
-    /// The synthetic set reconstructed by one process, up to a stage.
+    /// The small set reconstructed by one process, up to a stage.
     fn by_one(run: &Path, stage: &str) {
-        let arguments = until(stage, reconstruct_arguments(&synthetic_set(), run));
+        let arguments = until(stage, small_arguments(run));
         let output = Command::new(RILIEVO).args(&arguments).output();
         ended_with(&output.expect("the program starts"), 0);
     }
@@ -99,7 +97,7 @@ mod together {
         by_one(&alone, "6_fusion");
         for (num, threads) in [(1, "2"), (2, "1"), (3, "1"), (5, "2")] {
             let run = dir.path().join(format!("ranks-{num}"));
-            let mut arguments = until("6_fusion", reconstruct_arguments(&synthetic_set(), &run));
+            let mut arguments = until("6_fusion", small_arguments(&run));
             arguments.extend(["--threads".to_owned(), threads.to_owned()]);
             let Some(output) = on_ranks(num, &arguments) else {
                 return;
@@ -136,7 +134,7 @@ mod together {
         let dir = tempfile::tempdir().unwrap();
         let (alone, run) = (dir.path().join("alone"), dir.path().join("ranks"));
         by_one(&alone, "6_fusion");
-        let arguments = reconstruct_arguments(&synthetic_set(), &run);
+        let arguments = small_arguments(&run);
         command.args(["-n", "3", RILIEVO]).args(&arguments);
         let command = command.stdout(Stdio::null()).stderr(Stdio::null());
         let mut launcher = command.spawn().expect("the launcher starts");

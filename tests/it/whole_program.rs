@@ -5,7 +5,10 @@ use crate::browser;
 use crate::common;
 use rilievo_synthetic::testing::not_tested;
 
-use common::{arg, differences, done, reconstruct_arguments, rilievo, run, synthetic_set};
+use common::{
+    arg, differences, done, fresh_folder, reconstruct_arguments, rilievo, run, small_arguments,
+    synthetic_set,
+};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -32,22 +35,6 @@ fn reference() -> &'static Path {
     })
 }
 
-/// A set of three small photos.
-fn small_set() -> &'static Path {
-    static SET: OnceLock<PathBuf> = OnceLock::new();
-    SET.get_or_init(|| {
-        let set = fresh_folder("small-set");
-        done(&["synth", arg(&set), "--views", "3", "--size", "240x180"]);
-        // Every kind of step: a level that is solved as a whole, and relief at the photos' own pixels.
-        std::fs::write(
-            set.join("config.toml"),
-            "[shading.photo]\nmax_fine_pixels = 4000\n",
-        )
-        .expect("a config file can be written");
-        set
-    })
-}
-
 /// An undisturbed run of the small set, whose bytes other runs are compared with.
 fn small_reference() -> &'static Path {
     static REFERENCE: OnceLock<PathBuf> = OnceLock::new();
@@ -58,20 +45,6 @@ fn small_reference() -> &'static Path {
     })
 }
 
-/// Reconstructs the small set; what the program reports.
-fn reconstruct_small(run_dir: &Path, more: &[&str]) -> String {
-    let config = small_set().join("config.toml");
-    let more = [&["--config", arg(&config)], more].concat();
-    reconstruct(small_set(), run_dir, &more)
-}
-
-/// A folder of this build's tests, without what an earlier build left in it.
-fn fresh_folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    folder
-}
-
 /// A copy of a run.
 fn copy_of(run_dir: &Path, to: &Path) {
     let copied = Command::new("cp").arg("-a").args([run_dir, to]).status();
@@ -79,11 +52,22 @@ fn copy_of(run_dir: &Path, to: &Path) {
 }
 
 fn reconstruct(set: &Path, run_dir: &Path, more: &[&str]) -> String {
-    let output = rilievo()
-        .args(reconstruct_arguments(set, run_dir))
-        .args(more)
-        .output()
-        .expect("the program starts");
+    let mut arguments = reconstruct_arguments(set, run_dir);
+    arguments.extend(more.iter().map(|&argument| argument.to_owned()));
+    completed(&arguments)
+}
+
+/// Reconstructs the small set; what the program reports.
+fn reconstruct_small(run_dir: &Path, more: &[&str]) -> String {
+    let mut arguments = small_arguments(run_dir);
+    arguments.extend(more.iter().map(|&argument| argument.to_owned()));
+    completed(&arguments)
+}
+
+/// Runs the program to a good end; what it reports.
+fn completed(arguments: &[String]) -> String {
+    let output = rilievo().args(arguments).output();
+    let output = output.expect("the program starts");
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{stderr}");
     stderr
@@ -317,17 +301,11 @@ fn one_thread_gives_the_same_bytes() {
     );
 }
 
-/// Starts the program on a set, and returns when it has reported an event of this kind in a stage so many times;
-/// `false` when it ended before.
-fn started_until(
-    set: &Path,
-    run_dir: &Path,
-    more: &[&str],
-    (kind, stage, times): (&str, &str, usize),
-) -> (Child, bool) {
+/// Starts the program, and returns when it has reported an event of this kind in a stage so many times; `false` when it
+/// ended before.
+fn started_until(arguments: &[String], (kind, stage, times): (&str, &str, usize)) -> (Child, bool) {
     let mut child = Command::new(env!("CARGO_BIN_EXE_rilievo"))
-        .args(reconstruct_arguments(set, run_dir))
-        .args(more)
+        .args(arguments)
         .arg("--json")
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
@@ -352,7 +330,7 @@ fn killed_at_many_points_the_run_ends_with_the_same_bytes() {
     let expected = small_reference();
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
-    let config = small_set().join("config.toml");
+    let arguments = small_arguments(&run_dir);
     let stages = [
         "1_photos",
         "2_features",
@@ -371,8 +349,7 @@ fn killed_at_many_points_the_run_ends_with_the_same_bytes() {
     }
     let mut num_kills = 0;
     for point in points {
-        let more = ["--config", arg(&config)];
-        let (mut child, reached) = started_until(small_set(), &run_dir, &more, point);
+        let (mut child, reached) = started_until(&arguments, point);
         // SIGKILL: nothing of the program runs any more.
         child.kill().expect("a child can be killed");
         let status = child.wait().expect("a child can be waited for");
@@ -391,7 +368,8 @@ fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
     let point = ("progress", "5_shading", 3);
-    let (mut child, reached) = started_until(&synthetic_set(), &run_dir, &[], point);
+    let arguments = reconstruct_arguments(&synthetic_set(), &run_dir);
+    let (mut child, reached) = started_until(&arguments, point);
     assert!(reached, "the run ended before it could be interrupted");
     // The shell's own `kill` is everywhere; the program of that name is not.
     let interrupt = format!("kill -INT {}", child.id());

@@ -6,6 +6,7 @@ use rilievo_synthetic::testing::Random;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::OnceLock;
 
 /// The program, without anything inherited that could change its output.
 pub fn rilievo() -> Command {
@@ -221,6 +222,40 @@ pub fn synthetic_set() -> PathBuf {
         let _ = std::fs::rename(making.path(), &set);
     }
     set
+}
+
+/// A folder of this build's tests, without what an earlier build left in it.
+pub fn fresh_folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+/// A set of three small photos.
+pub fn small_set() -> &'static Path {
+    static SET: OnceLock<PathBuf> = OnceLock::new();
+    SET.get_or_init(|| {
+        let set = fresh_folder("small-set");
+        done(&["synth", arg(&set), "--views", "3", "--size", "240x180"]);
+        // Every kind of step: a level that is solved as a whole, and relief at the photos' own pixels.
+        std::fs::write(
+            set.join("config.toml"),
+            "[shading.photo]\nmax_fine_pixels = 4000\n",
+        )
+        .expect("a config file can be written");
+        set
+    })
+}
+
+/// Arguments that reconstruct the small set.
+pub fn small_arguments(run: &Path) -> Vec<String> {
+    let set = small_set();
+    let mut arguments = reconstruct_arguments(set, run);
+    arguments.extend([
+        "--config".to_owned(),
+        arg(&set.join("config.toml")).to_owned(),
+    ]);
+    arguments
 }
 
 /// Arguments that reconstruct a synthetic set.
