@@ -325,6 +325,49 @@ mod tests {
         assert!(fit_environment(&[], &rays, 1e-3).is_none());
     }
 
+    #[test]
+    fn products_are_those_of_the_sums() {
+        let rays = super::super::directions(20);
+        // More than a chunk.
+        let samples = sphere_under_sky(&rays, |i, d| i % 3 == 0 && d.y > 0.0);
+        let weights: Vec<f64> = (0..samples.len()).map(|i| 0.1 + (i % 5) as f64).collect();
+        let products = gram(&samples, &weights, rays.len());
+        for a in 0..rays.len() {
+            for b in 0..rays.len() {
+                let terms = samples.iter().zip(&weights);
+                let sum: f64 = terms
+                    .map(|(s, w)| w * f64::from(s.row[a]) * f64::from(s.row[b]))
+                    .sum();
+                assert!((products[(a, b)] - sum).abs() <= 1e-12 * sum.max(1.0));
+            }
+        }
+    }
+
+    /// At a minimum the gradient is nothing where a radiance is positive, and leads below zero elsewhere.
+    #[test]
+    fn a_descent_ends_where_the_gradient_allows_no_step() {
+        let rays = super::super::directions(48);
+        let mut samples = sphere_under_sky(&rays, |_, _| false);
+        for (i, sample) in samples.iter_mut().enumerate() {
+            sample.nearby = [0.1 * (i % 4) as f32; 3];
+        }
+        let weights = vec![1.0; samples.len()];
+        let mut matrix = gram(&samples, &weights, rays.len());
+        for k in 0..rays.len() {
+            matrix[(k, k)] *= 1.001;
+        }
+        let equations = Equations::new(&matrix, &samples, &weights, 1);
+        let (x, b) = equations.solve(vec![0.0; rays.len()], 0.0);
+        assert!(x.contains(&0.0) && x.iter().any(|&x| x > 0.0));
+        let scale = equations.rhs.iter().copied().fold(0.0, f64::max);
+        for k in 0..rays.len() {
+            let product: f64 = (0..rays.len()).map(|j| matrix[(k, j)] * x[j]).sum();
+            let rest = equations.rhs[k] - equations.cross[k] * b - product;
+            let share = if x[k] > 0.0 { rest.abs() } else { rest } / scale;
+            assert!(share < 1e-4, "cell {k}: {share}");
+        }
+    }
+
     /// A quarter of the points lie in a shadow that nothing explains.
     #[test]
     fn unexplained_shadow_does_not_darken_the_light() {
