@@ -353,8 +353,9 @@ mod tests {
         }
         let weights = vec![1.0; samples.len()];
         let mut matrix = gram(&samples, &weights, rays.len());
+        // As much as smoothness adds.
         for k in 0..rays.len() {
-            matrix[(k, k)] *= 1.001;
+            matrix[(k, k)] *= 1.01;
         }
         let equations = Equations::new(&matrix, &samples, &weights, 1);
         let (x, b) = equations.solve(vec![0.0; rays.len()], 0.0);
@@ -364,7 +365,7 @@ mod tests {
             let product: f64 = (0..rays.len()).map(|j| matrix[(k, j)] * x[j]).sum();
             let rest = equations.rhs[k] - equations.cross[k] * b - product;
             let share = if x[k] > 0.0 { rest.abs() } else { rest } / scale;
-            assert!(share < 1e-4, "cell {k}: {share}");
+            assert!(share < 5e-4, "cell {k}: {share}");
         }
     }
 
