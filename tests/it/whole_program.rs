@@ -52,21 +52,17 @@ fn copy_of(run_dir: &Path, to: &Path) {
 }
 
 fn reconstruct(set: &Path, run_dir: &Path, more: &[&str]) -> String {
-    let mut arguments = reconstruct_arguments(set, run_dir);
-    arguments.extend(more.iter().map(|&argument| argument.to_owned()));
-    completed(&arguments)
+    completed(&reconstruct_arguments(set, run_dir), more)
 }
 
 /// Reconstructs the small set; what the program reports.
 fn reconstruct_small(run_dir: &Path, more: &[&str]) -> String {
-    let mut arguments = small_arguments(run_dir);
-    arguments.extend(more.iter().map(|&argument| argument.to_owned()));
-    completed(&arguments)
+    completed(&small_arguments(run_dir), more)
 }
 
 /// Runs the program to a good end; what it reports.
-fn completed(arguments: &[String]) -> String {
-    let output = rilievo().args(arguments).output();
+fn completed(arguments: &[String], more: &[&str]) -> String {
+    let output = rilievo().args(arguments).args(more).output();
     let output = output.expect("the program starts");
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(0), "{stderr}");

@@ -1,11 +1,11 @@
 //! How far away the light is.
 //!
 //! From another place of the object a lamp nearby lies in another direction, and shines with another strength. The
-//! environment is fitted at nearer and nearer distances, as long as each leaves less unexplained than the one before; what is
-//! left, a smooth function of one over the distance, gives the distance by a parabola. It has to explain the photos better than a light that is endlessly far:
-//! the squares of the residuals are compared sample by sample, and samples of all views near one place count as one, since
-//! their errors have the same causes. A place is expected to gain in proportion to its weight: those of a sphere, whose
-//! points weigh most in the fit, gain more without being less certain.
+//! environment is fitted at nearer and nearer distances, as long as each leaves less unexplained than the one before; what
+//! is left, a smooth function of one over the distance, gives the distance by a parabola. It has to explain the photos
+//! better than a light that is endlessly far: the squares of the residuals are compared sample by sample, and samples of
+//! all views near one place count as one, since their errors have the same causes. A place is expected to gain in
+//! proportion to its weight: those of a sphere, whose points weigh most in the fit, gain more without being less certain.
 
 use nalgebra::Vector3;
 use rilievo_numerics::robust::median;
@@ -62,9 +62,7 @@ pub(crate) fn nearness(
         .map(|e| [0, 1, 2].map(|c| (e.place[c] / (CUBE * radius)).floor() as i32))
         .collect();
     let far = losses(&far);
-    let mut least = (0.0, far.iter().sum::<f64>());
-    let mut before = least;
-    let mut best = 0.0;
+    let mut tried = vec![(0.0, far.iter().sum::<f64>())];
     for share in &CANDIDATES[1..] {
         let nearness = share / radius;
         if nearness * reach > MAX_OFFSET {
@@ -73,18 +71,21 @@ pub(crate) fn nearness(
         let Some(evidence) = evidence(nearness) else {
             break;
         };
-        let tried = (f64::from(nearness), losses(&evidence).iter().sum());
-        if tried.1 >= least.1 {
-            if best > 0.0 {
-                best = vertex(before, least, tried);
-            }
+        let loss = losses(&evidence).iter().sum();
+        let is_better = tried.last().is_some_and(|before| loss < before.1);
+        tried.push((f64::from(nearness), loss));
+        if !is_better {
             break;
         }
-        (before, least, best) = (least, tried, tried.0);
     }
-    if best <= 0.0 {
+    let least = (0..tried.len()).min_by(|&a, &b| tried[a].1.total_cmp(&tried[b].1));
+    let Some(least) = least.filter(|&k| k > 0) else {
         return 0.0;
-    }
+    };
+    let best = match tried.get(least + 1) {
+        Some(&after) => vertex(tried[least - 1], tried[least], after),
+        None => tried[least].0,
+    };
     let Some(near) = evidence(best as f32) else {
         return 0.0;
     };

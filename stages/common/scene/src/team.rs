@@ -294,9 +294,9 @@ mod tests {
                 Some(error) => Err(error),
                 None => Ok(all
                     .into_iter()
-                    .map(|brought| match brought {
-                        Brought::Bytes(bytes) => bytes,
-                        Brought::Failure(..) => unreachable!(),
+                    .filter_map(|brought| match brought {
+                        Brought::Bytes(bytes) => Some(bytes),
+                        Brought::Failure(..) => None,
                     })
                     .collect()),
             }

