@@ -159,13 +159,18 @@ impl Lit<'_> {
             let step = (view.pixels.len() / per_view).max(1);
             let pixels = (0..view.pixels.len()).step_by(step);
             let usable = pixels.filter(|&p| {
-                view.shows_surface(p) && view.intensity(p).iter().sum::<f32>() >= MIN_INTENSITY
+                !view.is_on_outline(p) && view.intensity(p).iter().sum::<f32>() >= MIN_INTENSITY
             });
             owners.extend(usable.map(|p| (i, p)));
         }
         let of_object = owners.par_iter().map(|&(i, p)| {
-            let intensity = self.rays_at.views[i].intensity(p);
-            sample(&transfer_of(i, p), domes.of(i), intensity, 1.0)
+            let view = &self.rays_at.views[i];
+            let read = Reading {
+                intensity: view.intensity(p),
+                is_clipped: !view.is_usable(p),
+                weight: 1.0,
+            };
+            sample(&transfer_of(i, p), domes.of(i), read)
         });
         let mut all: Vec<_> = of_object.collect();
         let known = self.known;
@@ -184,7 +189,12 @@ impl Lit<'_> {
                     }
                     None => Transfer::open(&p.normal, dome),
                 };
-                sample(&t, dome, p.intensity, weight)
+                let read = Reading {
+                    intensity: p.intensity,
+                    is_clipped: false,
+                    weight,
+                };
+                sample(&t, dome, read)
             });
             let is_lit =
                 |(s, _): &(EnvironmentSample, _)| s.intensity.iter().sum::<f32>() > MIN_INTENSITY;
@@ -254,18 +264,21 @@ impl Samples {
     }
 }
 
-/// A sample, and where it lies.
-fn sample(
-    t: &Transfer,
-    dome: &Dome,
+/// What a photo shows of a sample.
+struct Reading {
     intensity: [f32; 3],
+    is_clipped: bool,
     weight: f32,
-) -> (EnvironmentSample, Vector3<f32>) {
+}
+
+/// A sample, and where it lies.
+fn sample(t: &Transfer, dome: &Dome, read: Reading) -> (EnvironmentSample, Vector3<f32>) {
     let sample = EnvironmentSample {
         row: t.row(dome),
         nearby: t.nearby_intensity(),
-        intensity,
-        weight,
+        intensity: read.intensity,
+        is_clipped: read.is_clipped,
+        weight: read.weight,
     };
     (sample, t.place)
 }

@@ -522,6 +522,55 @@ fn own_scenes_are_found_and_a_missing_view_changes_little() {
     );
 }
 
+/// Brightens every photo until `share` of the object is clipped in all channels.
+fn clip(world: &mut World, share: f64) {
+    for (photo, view) in world.photos.photos.iter_mut().zip(&mut world.views) {
+        let places = (0..view.depth.width * view.depth.height)
+            .map(|k| (k % view.depth.width, k / view.depth.width))
+            .filter(|&(x, y)| *view.depth.at(x, y) > 0.0);
+        let darkest = |(x, y)| view.image.pixel(x, y).iter().copied().fold(1.0, f32::min);
+        let mut darkest: Vec<f32> = places.map(darkest).collect();
+        darkest.sort_by(f32::total_cmp);
+        let white = darkest[((1.0 - share) * darkest.len() as f64) as usize];
+        for value in &mut view.image.data {
+            *value = (*value / white).min(1.0);
+        }
+        photo.pixels = Arc::new(InMemoryPixels(Arc::new(view.image.clone())));
+    }
+}
+
+#[test]
+fn a_clipped_surface_goes_on_smoothly() {
+    let mut scene = world(
+        Subject::Ellipsoid,
+        LightModel::Shadowed,
+        Some(grain),
+        (240, 180),
+    );
+    clip(&mut scene, 0.25);
+    let options = PhotoOptions {
+        num_outer_iterations: 0,
+        ..PhotoOptions::default()
+    };
+    let (found, _) = solved_by(&scene, &options);
+    let mut angles = Vec::new();
+    for (truth, view) in scene.views.iter().zip(&found.views) {
+        for y in 0..truth.depth.height {
+            for x in 0..truth.depth.width {
+                let is_clipped = truth.image.pixel(x, y).iter().all(|&v| v >= 1.0);
+                let normals = (truth.normal.normal(x, y), view.normal.normal(x, y));
+                if let (true, (Some(a), Some(b))) = (is_clipped, normals) {
+                    angles.push(a.dot(&b).clamp(-1.0, 1.0).acos().to_degrees());
+                }
+            }
+        }
+    }
+    let mean = angles.iter().sum::<f64>() / angles.len() as f64;
+    println!("{} clipped pixels, {mean:.2} deg", angles.len());
+    assert!(angles.len() > 1000, "{} clipped pixels", angles.len());
+    assert!(mean < 15.0, "{mean} deg");
+}
+
 #[test]
 fn a_finer_search_holds_photos_that_disagree() {
     let mut scene = world(

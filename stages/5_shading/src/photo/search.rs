@@ -49,6 +49,8 @@ const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
 /// Planes about the pixels of all views.
 type Planes = Vec<Vec<Plane>>;
+/// Of the patches about the pixels of all views, shared by the photos and not.
+type Variances = Vec<Vec<[f32; 2]>>;
 
 impl Solver<'_> {
     /// Whether brightness is so far from constant that single pixels are no match.
@@ -84,6 +86,31 @@ impl Solver<'_> {
             let start = start.map(|of_view| of_view(i));
             Ok(search.view(i, start.as_deref()))
         })
+    }
+
+    /// Patches' variances under searched planes ([`Search::variances`]), and per pixel the sources, as bits, that confirm its
+    /// depth. Nothing confirms it where the photo shows nothing: all views can agree there on any depth.
+    fn confirmed(
+        &self,
+        search: &Search<'_>,
+        planes: &Planes,
+        depths: &[Vec<f64>],
+    ) -> Result<(Variances, Vec<Vec<u8>>), ShadingError> {
+        let level = search.level();
+        let variances: Variances = self.divided(memory::search_bytes(level), |i| {
+            Ok(search.variances(i, &planes[i]))
+        })?;
+        let mut agreement = start::agreement(level, depths);
+        for (bits, &variances) in agreement
+            .iter_mut()
+            .flatten()
+            .zip(variances.iter().flatten())
+        {
+            if !search::shows_structure(variances) {
+                *bits = 0;
+            }
+        }
+        Ok((variances, agreement))
     }
 
     /// A search of a level; `mean_deviation`: as in [`SearchOptions`].
@@ -175,9 +202,9 @@ impl Solver<'_> {
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
         let search = self.search(at, posed, mean_deviation)?;
-        let (_, planes) = self.consistent_search(search, start)?;
-        let [alone, depths] = planes.map(|planes| log_depths(&planes));
-        let agreement = start::agreement(level, &depths);
+        let (search, [alone, planes]) = self.consistent_search(search, start)?;
+        let [alone, depths] = [&alone, &planes].map(|planes| log_depths(planes));
+        let (_, agreement) = self.confirmed(&search, &planes, &depths)?;
         let surface = self.continued(at, &depths, &agreement)?;
         self.report.search_scatter_px = start::scatter(level, &depths);
         for (view, agreement) in self.report.views.iter_mut().zip(&agreement) {
@@ -203,13 +230,10 @@ impl Solver<'_> {
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
         let search = self.search(at, posed, None)?;
         let (search, [_, planes]) = self.consistent_search(search, Some(&tangent))?;
-        let variances = self.divided(memory::search_bytes(level), |i| {
-            Ok(search.variances(i, &planes[i]))
-        })?;
-        let certainty = search::certainties(level, &variances);
         let mut surface = log_depths(&planes);
+        let (variances, agreement) = self.confirmed(&search, &planes, &surface)?;
+        let certainty = search::certainties(level, &variances);
         let scatter_px = start::scatter(level, &surface);
-        let agreement = start::agreement(level, &surface);
         for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
             for ((found, &before), &bits) in found.iter_mut().zip(before).zip(agreement) {
                 if bits == 0 {

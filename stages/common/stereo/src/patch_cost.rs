@@ -56,7 +56,7 @@ const CONTRAST: f32 = 0.15;
 /// Largest cost of unlike means.
 const MEAN_COST: f32 = 0.3;
 /// Contrast that is noise: standard deviation over the mean of a patch.
-const NOISE: f32 = 0.003;
+pub(crate) const NOISE: f32 = 0.003;
 /// Share of a view's mean brightness below which all is equally dark.
 const DARKEST: f32 = 0.003;
 /// Samples below this weight are left out; the centre has 1.

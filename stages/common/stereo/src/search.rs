@@ -2,7 +2,7 @@
 
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
-use crate::patch_cost::Plane;
+use crate::patch_cost::{self, Plane};
 use crate::patchmatch::{self, SearchOptions};
 use crate::sampling;
 use nalgebra::Point3;
@@ -118,6 +118,12 @@ impl<'a> Search<'a> {
     }
 }
 
+/// Whether the photo shows anything about a pixel, from the variances of its patch ([`Search::variances`]): one that is clipped
+/// all over has as little at any depth.
+pub fn shows_structure([shared, rest]: [f32; 2]) -> bool {
+    shared + rest > patch_cost::NOISE * patch_cost::NOISE
+}
+
 /// How certain searched depths are, per view and pixel, from 1/9 to 1: the inverse of their variance over that of a certain
 /// one's; from the patches' variances, shared by the photos and not ([`Search::variances`]).
 ///
@@ -172,6 +178,8 @@ mod tests {
         assert!((at(75) - 0.5).abs() < 0.02, "{}", at(75));
         assert_eq!(at(115), MIN_CERTAINTY);
         assert!(at(88) > at(91));
+        assert!(shows_structure([0.0, NOISE]) && shows_structure([NOISE, 0.0]));
+        assert!(!shows_structure([0.0, 0.0]));
         // No photo shows anything.
         let black = certainties(&level, &[vec![[0.0; 2]; column.len()]]);
         assert!(black[0].iter().all(|&c| c == MIN_CERTAINTY));

@@ -1,6 +1,7 @@
 //! The environment's radiance, one value per cell and channel, from points whose intensity is
 //! known: `min_{L ≥ 0, b ≥ 0} Σ w ρ(r) + λ Σ (L_k − L_k')²` over neighbouring cells, `r = (S − I) / ½ (S + I)`
-//! with the intensity `S = T L + b B` and the sample's weight `w`.
+//! with the intensity `S = T L + b B` and the sample's weight `w`. Of a clipped sample `I` is a bound: it is at least as bright,
+//! and `r` is 0 where `S` exceeds `I`.
 //!
 //! `T` is what a point sees, `B` what its surroundings send, `b` their common factor (the albedo over
 //! the one contained in `L`). Solved on the normal equations by cyclic coordinate descent with
@@ -15,7 +16,7 @@ use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::{Accum, Mat, Par};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rilievo_numerics::robust::RobustLoss;
+use rilievo_numerics::robust::{RobustLoss, median};
 
 /// One point with a known intensity.
 #[derive(Clone, Debug)]
@@ -26,6 +27,8 @@ pub struct EnvironmentSample {
     pub nearby: [f32; 3],
     /// Observed intensity.
     pub intensity: [f32; 3],
+    /// Whether the photo is clipped there, so that the surface is at least as bright.
+    pub is_clipped: bool,
     /// Relative weight of the sample.
     pub weight: f32,
 }
@@ -38,7 +41,7 @@ pub struct EnvironmentFit {
     /// Factor of what the surroundings send.
     pub bounce: [f32; 3],
     /// Residual (RMS over the channels) of every sample, relative to the mean of observed and fitted
-    /// intensity.
+    /// intensity; 0 where a bound is met.
     pub residuals: Vec<f32>,
 }
 
@@ -111,14 +114,17 @@ pub fn fit_environment(
             let typical = typical_of(observed[i], fitted[i]);
             let errors = light.iter().zip(sample.intensity);
             let squares = errors.map(|(l, o)| (f64::from(l - o) / typical).powi(2));
-            fit.residuals[i] = (squares.sum::<f64>() / 3.0).sqrt() as f32;
+            let is_met = sample.is_clipped && fitted[i] >= observed[i];
+            robust[i] = f64::from(u8::from(!is_met));
+            fit.residuals[i] = (robust[i] * (squares.sum::<f64>() / 3.0).sqrt()) as f32;
         }
-        let mut sorted: Vec<f32> = fit.residuals.clone();
-        sorted.sort_unstable_by(f32::total_cmp);
+        let known = samples.iter().zip(&fit.residuals);
+        let known = known.filter(|(sample, _)| !sample.is_clipped);
+        let mut known: Vec<f64> = known.map(|(_, &r)| f64::from(r)).collect();
         // Huber at a little more than twice the median.
-        let threshold = 2.25 * f64::from(sorted[sorted.len() / 2]).max(1e-6);
+        let threshold = 2.25 * median(&mut known).unwrap_or(0.0).max(1e-6);
         for (w, &r) in robust.iter_mut().zip(&fit.residuals) {
-            *w = RobustLoss::Huber(threshold).weight(f64::from(r));
+            *w *= RobustLoss::Huber(threshold).weight(f64::from(r));
         }
     }
     Some(fit)
@@ -298,6 +304,7 @@ mod tests {
                     row,
                     nearby: [0.0; 3],
                     intensity: [light; 3],
+                    is_clipped: false,
                     weight: 1.0,
                 }
             })
@@ -322,6 +329,43 @@ mod tests {
         assert!(mean < 0.02, "mean {mean}, worst {worst}");
         assert!(fit.radiance.iter().flatten().all(|&l| l >= 0.0));
         assert!(fit_environment(&[], &rays, 1e-3).is_none());
+    }
+
+    #[test]
+    fn clipped_samples_are_at_least_as_bright() {
+        let rays = super::super::directions(48);
+        let truth = sphere_under_sky(&rays, |_, _| false);
+        let brightest = truth.iter().map(|s| s.intensity[0]).fold(0.0, f32::max);
+        let limit = 0.7 * brightest;
+        let mut clipped = truth.clone();
+        for sample in &mut clipped {
+            sample.is_clipped = sample.intensity[0] > limit;
+            sample.intensity = sample.intensity.map(|v| v.min(limit));
+        }
+        let unclipped: Vec<_> = clipped.iter().filter(|s| !s.is_clipped).cloned().collect();
+        assert!(unclipped.len() < clipped.len() * 9 / 10);
+        // Mean relative error where the photo is clipped.
+        let error = |samples: &[EnvironmentSample]| {
+            let Some(fit) = fit_environment(samples, &rays, 1e-3) else {
+                panic!("no fit")
+            };
+            let of_clipped = truth.iter().zip(&clipped).filter(|(_, c)| c.is_clipped);
+            let errors: Vec<f32> = of_clipped
+                .map(|(s, _)| (fit.intensity(s)[0] / s.intensity[0] - 1.0).abs())
+                .collect();
+            errors.iter().sum::<f32>() / errors.len() as f32
+        };
+        let as_values: Vec<_> = clipped
+            .iter()
+            .map(|s| EnvironmentSample {
+                is_clipped: false,
+                ..s.clone()
+            })
+            .collect();
+        let [bounds, without, values] =
+            [&clipped, &unclipped, &as_values].map(|samples| error(samples));
+        eprintln!("as bounds {bounds}, left out {without}, as values {values}");
+        assert!(bounds < 0.5 * without && bounds < 0.3 * values);
     }
 
     #[test]
