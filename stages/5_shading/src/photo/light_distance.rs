@@ -45,9 +45,7 @@ pub(crate) fn nearness(
     let Some(far) = evidence(0.0) else {
         return 0.0;
     };
-    // What meets a bound has none.
-    let sizes = far.iter().map(|e| f64::from(e.residual));
-    let mut sizes: Vec<f64> = sizes.filter(|&size| size > 0.0).collect();
+    let mut sizes: Vec<f64> = far.iter().map(|e| f64::from(e.residual)).collect();
     let limit = MAX_RESIDUAL * median(&mut sizes).unwrap_or(0.0);
     let weights: Vec<f64> = far.iter().map(|e| f64::from(e.weight)).collect();
     let losses = |evidence: &[Evidence]| -> Vec<f64> {

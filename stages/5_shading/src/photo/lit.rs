@@ -146,7 +146,7 @@ impl Lit<'_> {
         transfer(self.surroundings, &at, &n, domes.of(i), offset, None)
     }
 
-    /// Object pixels, about `per_view` of each view, with what `transfer_of` says that they see; and points of the
+    /// Object pixels, about `per_view` of each view and clipped ones among them, with what `transfer_of` says that they see; and points of the
     /// known light.
     pub fn samples<'t>(
         &self,
@@ -234,6 +234,8 @@ impl Lit<'_> {
             samples.divide_by(&ratios);
             let residuals = fit_environment(&samples.all, cells, SMOOTHNESS)?.residuals;
             let facts = samples.all.iter().zip(&samples.places).zip(residuals);
+            // A bound that is met gains nothing and shows nothing.
+            let facts = facts.filter(|((sample, _), _)| !sample.is_clipped);
             let facts = facts.map(|((sample, &place), residual)| Evidence {
                 residual,
                 weight: sample.weight,

@@ -49,7 +49,7 @@ const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
 /// Planes about the pixels of all views.
 type Planes = Vec<Vec<Plane>>;
-/// Of the patches about the pixels of all views, shared by the photos and not.
+/// Variances of the patches about the pixels of all views, shared by the photos and not.
 type Variances = Vec<Vec<[f32; 2]>>;
 
 impl Solver<'_> {
@@ -88,8 +88,9 @@ impl Solver<'_> {
         })
     }
 
-    /// Patches' variances under searched planes ([`Search::variances`]), and per pixel the sources, as bits, that confirm its
-    /// depth. Nothing confirms it where the photo shows nothing: all views can agree there on any depth.
+    /// Variances of the patches under searched planes ([`Search::variances`]), and per pixel the sources, as bits, that confirm
+    /// its depth. Where a patch is clipped all over, all views can agree on any depth: it confirms nothing, and nothing
+    /// confirms it.
     fn confirmed(
         &self,
         search: &Search<'_>,
@@ -100,17 +101,14 @@ impl Solver<'_> {
         let variances: Variances = self.divided(memory::search_bytes(level), |i| {
             Ok(search.variances(i, &planes[i]))
         })?;
-        let mut agreement = start::agreement(level, depths);
-        for (bits, &variances) in agreement
-            .iter_mut()
-            .flatten()
-            .zip(variances.iter().flatten())
-        {
-            if !search::shows_structure(variances) {
-                *bits = 0;
-            }
-        }
-        Ok((variances, agreement))
+        let known = |i: usize, p: usize| {
+            let is_seen = level.views[i].is_usable(p) || search::shows_structure(variances[i][p]);
+            if is_seen { depths[i][p] } else { f64::NAN }
+        };
+        let known: Vec<Vec<f64>> = (0..depths.len())
+            .map(|i| (0..depths[i].len()).map(|p| known(i, p)).collect())
+            .collect();
+        Ok((variances, start::agreement(level, &known)))
     }
 
     /// A search of a level; `mean_deviation`: as in [`SearchOptions`].

@@ -118,8 +118,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Whether the photo shows anything about a pixel, from the variances of its patch ([`Search::variances`]): one that is clipped
-/// all over has as little at any depth.
+/// Whether a patch's contrast, the sum of its variances ([`Search::variances`]), exceeds noise: one that is clipped all over
+/// matches equally well at any depth.
 pub fn shows_structure([shared, rest]: [f32; 2]) -> bool {
     shared + rest > patch_cost::NOISE * patch_cost::NOISE
 }

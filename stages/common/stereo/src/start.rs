@@ -24,7 +24,7 @@ pub fn confirmed_weight(agreeing: u8) -> f64 {
 }
 
 /// Compares log depths between the views: per view and masked pixel, bit `k` is set where the
-/// `k`-th source agrees within a few pixel footprints.
+/// `k`-th source agrees within a few pixel footprints. A depth that is not a number agrees with none.
 pub fn agreement(level: &Level, depths: &[Vec<f64>]) -> Vec<Vec<u8>> {
     let tolerance = AGREEMENT_PX / level.focal();
     (0..level.views.len())
