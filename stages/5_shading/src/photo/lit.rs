@@ -146,8 +146,8 @@ impl Lit<'_> {
         transfer(self.surroundings, &at, &n, domes.of(i), offset, None)
     }
 
-    /// Object pixels, about `per_view` of each view and clipped ones among them, with what `transfer_of` says that they see; and points of the
-    /// known light.
+    /// Object pixels, about `per_view` of each view and clipped ones among them, with what `transfer_of` says that they see;
+    /// and points of the known light.
     pub fn samples<'t>(
         &self,
         domes: &Domes,
@@ -165,12 +165,9 @@ impl Lit<'_> {
         }
         let of_object = owners.par_iter().map(|&(i, p)| {
             let view = &self.rays_at.views[i];
-            let read = Reading {
-                intensity: view.intensity(p),
-                is_clipped: !view.is_usable(p),
-                weight: 1.0,
-            };
-            sample(&transfer_of(i, p), domes.of(i), read)
+            let (read, place) = sample(&transfer_of(i, p), domes.of(i), view.intensity(p), 1.0);
+            let is_clipped = !view.is_usable(p);
+            (EnvironmentSample { is_clipped, ..read }, place)
         });
         let mut all: Vec<_> = of_object.collect();
         let known = self.known;
@@ -189,12 +186,7 @@ impl Lit<'_> {
                     }
                     None => Transfer::open(&p.normal, dome),
                 };
-                let read = Reading {
-                    intensity: p.intensity,
-                    is_clipped: false,
-                    weight,
-                };
-                sample(&t, dome, read)
+                sample(&t, dome, p.intensity, weight)
             });
             let is_lit =
                 |(s, _): &(EnvironmentSample, _)| s.intensity.iter().sum::<f32>() > MIN_INTENSITY;
@@ -266,21 +258,19 @@ impl Samples {
     }
 }
 
-/// What a photo shows of a sample.
-struct Reading {
+/// An unclipped sample, and where it lies.
+fn sample(
+    t: &Transfer,
+    dome: &Dome,
     intensity: [f32; 3],
-    is_clipped: bool,
     weight: f32,
-}
-
-/// A sample, and where it lies.
-fn sample(t: &Transfer, dome: &Dome, read: Reading) -> (EnvironmentSample, Vector3<f32>) {
+) -> (EnvironmentSample, Vector3<f32>) {
     let sample = EnvironmentSample {
         row: t.row(dome),
         nearby: t.nearby_intensity(),
-        intensity: read.intensity,
-        is_clipped: read.is_clipped,
-        weight: read.weight,
+        intensity,
+        is_clipped: false,
+        weight,
     };
     (sample, t.place)
 }

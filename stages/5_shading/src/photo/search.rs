@@ -49,8 +49,6 @@ const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
 /// Planes about the pixels of all views.
 type Planes = Vec<Vec<Plane>>;
-/// Variances of the patches about the pixels of all views, shared by the photos and not.
-type Variances = Vec<Vec<[f32; 2]>>;
 
 impl Solver<'_> {
     /// Whether brightness is so far from constant that single pixels are no match.
@@ -88,27 +86,28 @@ impl Solver<'_> {
         })
     }
 
-    /// Variances of the patches under searched planes ([`Search::variances`]), and per pixel the sources, as bits, that confirm
-    /// its depth. Where a patch is clipped all over, all views can agree on any depth: it confirms nothing, and nothing
-    /// confirms it.
+    /// Per pixel the sources, as bits, that confirm its searched log depth. Where a patch is clipped all over, all views can
+    /// agree on any depth: it confirms nothing, and nothing confirms it.
     fn confirmed(
         &self,
         search: &Search<'_>,
-        planes: &Planes,
         depths: &[Vec<f64>],
-    ) -> Result<(Variances, Vec<Vec<u8>>), ShadingError> {
+    ) -> Result<Vec<Vec<u8>>, ShadingError> {
         let level = search.level();
-        let variances: Variances = self.divided(memory::search_bytes(level), |i| {
-            Ok(search.variances(i, &planes[i]))
+        let clipped = self.divided(memory::search_bytes(level), |i| {
+            Ok(search.clipped_all_over(i))
         })?;
-        let known = |i: usize, p: usize| {
-            let is_seen = level.views[i].is_usable(p) || search::shows_structure(variances[i][p]);
-            if is_seen { depths[i][p] } else { f64::NAN }
-        };
-        let known: Vec<Vec<f64>> = (0..depths.len())
-            .map(|i| (0..depths[i].len()).map(|p| known(i, p)).collect())
-            .collect();
-        Ok((variances, start::agreement(level, &known)))
+        let mut known = depths.to_vec();
+        for (depth, clipped) in known
+            .iter_mut()
+            .flatten()
+            .zip(clipped.into_iter().flatten())
+        {
+            if clipped {
+                *depth = f64::NAN;
+            }
+        }
+        Ok(start::agreement(level, &known))
     }
 
     /// A search of a level; `mean_deviation`: as in [`SearchOptions`].
@@ -200,9 +199,9 @@ impl Solver<'_> {
         let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
         let search = self.search(at, posed, mean_deviation)?;
-        let (search, [alone, planes]) = self.consistent_search(search, start)?;
-        let [alone, depths] = [&alone, &planes].map(|planes| log_depths(planes));
-        let (_, agreement) = self.confirmed(&search, &planes, &depths)?;
+        let (search, planes) = self.consistent_search(search, start)?;
+        let [alone, depths] = planes.map(|planes| log_depths(&planes));
+        let agreement = self.confirmed(&search, &depths)?;
         let surface = self.continued(at, &depths, &agreement)?;
         self.report.search_scatter_px = start::scatter(level, &depths);
         for (view, agreement) in self.report.views.iter_mut().zip(&agreement) {
@@ -228,9 +227,12 @@ impl Solver<'_> {
         let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
         let search = self.search(at, posed, None)?;
         let (search, [_, planes]) = self.consistent_search(search, Some(&tangent))?;
-        let mut surface = log_depths(&planes);
-        let (variances, agreement) = self.confirmed(&search, &planes, &surface)?;
+        let variances = self.divided(memory::search_bytes(level), |i| {
+            Ok(search.variances(i, &planes[i]))
+        })?;
         let certainty = search::certainties(level, &variances);
+        let mut surface = log_depths(&planes);
+        let agreement = self.confirmed(&search, &surface)?;
         let scatter_px = start::scatter(level, &surface);
         for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
             for ((found, &before), &bits) in found.iter_mut().zip(before).zip(agreement) {

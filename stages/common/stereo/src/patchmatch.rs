@@ -7,7 +7,7 @@
 
 use crate::hull::InverseDepthRange;
 use crate::level::{Level, LevelView};
-use crate::patch_cost::{Matcher, Patch, Plane};
+use crate::patch_cost::{Matcher, NOISE, Patch, Plane};
 use crate::plate;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_numerics::robust::median;
@@ -168,6 +168,26 @@ pub fn variances(
     planes.iter().enumerate().map(split).collect()
 }
 
+/// Whether the patch about each pixel of a view is clipped all over: its contrast is no more than noise, so that it matches
+/// equally well at any depth.
+pub fn clipped_all_over(level: &Level, index: usize, masks: &[Mask]) -> Vec<bool> {
+    let view = &level.views[index];
+    let count = view.pixels.len();
+    if (0..count).all(|p| view.is_usable(p)) {
+        return vec![false; count];
+    }
+    let matcher = Matcher::new(level, index, masks, None, (None, 1));
+    let mut patch = Patch::default();
+    let is_blank = |p: usize| {
+        let (x, y) = (view.pixels.xs[p] as i32, view.pixels.ys[p] as i32);
+        !view.is_usable(p) && {
+            matcher.take(x, y, &mut patch);
+            patch.contrast() <= NOISE * NOISE
+        }
+    };
+    (0..count).map(is_blank).collect()
+}
+
 /// Size of random steps.
 struct Steps {
     /// Of the inverse depth, relative.
@@ -309,6 +329,35 @@ mod tests {
             ..RigidTransform::identity()
         };
         Camera::new(&intrinsics, &pose)
+    }
+
+    #[test]
+    fn patches_are_clipped_all_over_where_no_neighbour_is_darker() {
+        let camera = camera(0.0);
+        let mask = Raster::filled(SIZE.0, SIZE.1, true);
+        // White up to the middle, then darker by steps; all of it clipped below a limit of .6.
+        let mut image = LinearImage::filled(SIZE.0, SIZE.1, 3, 1.0);
+        for y in 0..SIZE.1 {
+            for x in 56..SIZE.0 {
+                image.pixel_mut(x, y).fill(1.0 - 0.005 * (x - 55) as f32);
+            }
+        }
+        let clipped = |clip_level: f32| {
+            let (view, _) = LevelView::from_photo(&camera, &image, &mask, clip_level);
+            let places: Vec<usize> = view.pixels.xs.iter().map(|&x| x as usize).collect();
+            let level = Level::new(vec![view], &[vec![]]);
+            let found = clipped_all_over(&level, 0, std::slice::from_ref(&level.views[0].mask));
+            (found, places)
+        };
+        let (found, places) = clipped(0.6);
+        let first = places[0];
+        for (found, x) in found.iter().zip(&places) {
+            let x = x - first;
+            assert!(x > 50 || *found, "{x} is white");
+            assert!(x < 56 || !*found, "{x} is darker than its neighbours");
+        }
+        // Unclipped, what has no contrast is what the photo shows.
+        assert!(!clipped(2.0).0.contains(&true));
     }
 
     /// Depth that a ray meets: a bright near plate on the left, a darker far one behind it.

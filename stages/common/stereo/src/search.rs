@@ -2,7 +2,7 @@
 
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
-use crate::patch_cost::{self, Plane};
+use crate::patch_cost::Plane;
 use crate::patchmatch::{self, SearchOptions};
 use crate::sampling;
 use nalgebra::Point3;
@@ -79,6 +79,11 @@ impl<'a> Search<'a> {
         patchmatch::variances(self.level, index, &self.masks, planes, self.better_half())
     }
 
+    /// Whether the patch about each pixel of view `index` is clipped all over ([`patchmatch::clipped_all_over`]).
+    pub fn clipped_all_over(&self, index: usize) -> Vec<bool> {
+        patchmatch::clipped_all_over(self.level, index, &self.masks)
+    }
+
     /// Sources that count around planes that are about right: beside an edge some see another surface, and the better
     /// half shows depth (Kang, Szeliski, Chai, CVPR 2001). A search without a start needs more.
     fn better_half(&self) -> usize {
@@ -116,12 +121,6 @@ impl<'a> Search<'a> {
             &options,
         )
     }
-}
-
-/// Whether a patch's contrast, the sum of its variances ([`Search::variances`]), exceeds noise: one that is clipped all over
-/// matches equally well at any depth.
-pub fn shows_structure([shared, rest]: [f32; 2]) -> bool {
-    shared + rest > patch_cost::NOISE * patch_cost::NOISE
 }
 
 /// How certain searched depths are, per view and pixel, from 1/9 to 1: the inverse of their variance over that of a certain
@@ -178,8 +177,6 @@ mod tests {
         assert!((at(75) - 0.5).abs() < 0.02, "{}", at(75));
         assert_eq!(at(115), MIN_CERTAINTY);
         assert!(at(88) > at(91));
-        assert!(shows_structure([0.0, NOISE]) && shows_structure([NOISE, 0.0]));
-        assert!(!shows_structure([0.0, 0.0]));
         // No photo shows anything.
         let black = certainties(&level, &[vec![[0.0; 2]; column.len()]]);
         assert!(black[0].iter().all(|&c| c == MIN_CERTAINTY));

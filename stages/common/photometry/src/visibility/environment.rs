@@ -71,9 +71,8 @@ pub fn fit_environment(
     }
     let links = links(directions);
     let mut targets: Vec<[f32; 3]> = samples.iter().map(|s| s.intensity).collect();
-    let mut observed: Vec<f64> = targets.iter().map(|&t| mean(t)).collect();
     // What the points are lit by on average serves until there is a fit.
-    let average = observed.iter().sum::<f64>() / observed.len() as f64;
+    let average = targets.iter().map(|&t| mean(t)).sum::<f64>() / targets.len() as f64;
     let mut fitted = vec![average; samples.len()];
     let known_at_once = samples.iter().map(|s| f64::from(u8::from(!s.is_clipped)));
     let mut robust: Vec<f64> = known_at_once.collect();
@@ -84,8 +83,9 @@ pub fn fit_environment(
     };
     for _ in 0..NUM_ROUNDS {
         let weight = |i: usize| {
-            let typical = typical_of(observed[i], fitted[i]);
-            f64::from(samples[i].weight) * robust[i] * observed[i] / typical.powi(3)
+            let observed = mean(targets[i]);
+            let typical = typical_of(observed, fitted[i]);
+            f64::from(samples[i].weight) * robust[i] * observed / typical.powi(3)
         };
         let weights: Vec<f64> = (0..samples.len()).map(weight).collect();
         let mut matrix = gram(samples, &weights, count);
@@ -115,10 +115,9 @@ pub fn fit_environment(
             let light = fit.intensity(sample);
             if sample.is_clipped {
                 targets[i] = std::array::from_fn(|c| sample.intensity[c].max(light[c]));
-                observed[i] = mean(targets[i]);
             }
             fitted[i] = mean(light);
-            let typical = typical_of(observed[i], fitted[i]);
+            let typical = typical_of(mean(targets[i]), fitted[i]);
             let errors = light.iter().zip(targets[i]);
             let squares = errors.map(|(l, o)| (f64::from(l - o) / typical).powi(2));
             fit.residuals[i] = (squares.sum::<f64>() / 3.0).sqrt() as f32;
