@@ -29,7 +29,7 @@ pub use surroundings::Surroundings;
 use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews, ShadedView, ShadedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 39;
+pub const VERSION: u32 = 40;
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///

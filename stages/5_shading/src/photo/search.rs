@@ -86,13 +86,13 @@ impl Solver<'_> {
         })
     }
 
-    /// Per pixel the sources, as bits, that confirm its searched log depth. Where a patch is clipped all over, all views can
-    /// agree on any depth: it confirms nothing, and nothing confirms it.
+    /// Searched log depths, not a number where the patch is clipped all over: there all views can agree on any depth.
+    /// And per pixel the sources, as bits, that confirm what is known.
     fn confirmed(
         &self,
         search: &Search<'_>,
         depths: &[Vec<f64>],
-    ) -> Result<Vec<Vec<u8>>, ShadingError> {
+    ) -> Result<(Vec<Vec<f64>>, Vec<Vec<u8>>), ShadingError> {
         let level = search.level();
         let clipped = self.divided(memory::search_bytes(level), |i| {
             Ok(search.clipped_all_over(i))
@@ -107,7 +107,8 @@ impl Solver<'_> {
                 *depth = f64::NAN;
             }
         }
-        Ok(start::agreement(level, &known))
+        let agreement = start::agreement(level, &known);
+        Ok((known, agreement))
     }
 
     /// A search of a level; `mean_deviation`: as in [`SearchOptions`].
@@ -201,8 +202,8 @@ impl Solver<'_> {
         let search = self.search(at, posed, mean_deviation)?;
         let (search, planes) = self.consistent_search(search, start)?;
         let [alone, depths] = planes.map(|planes| log_depths(&planes));
-        let agreement = self.confirmed(&search, &depths)?;
-        let surface = self.continued(at, &depths, &agreement)?;
+        let (known, agreement) = self.confirmed(&search, &depths)?;
+        let surface = self.continued(at, &known, &agreement)?;
         self.report.search_scatter_px = start::scatter(level, &depths);
         for (view, agreement) in self.report.views.iter_mut().zip(&agreement) {
             let confirmed = agreement.iter().filter(|&&bits| bits != 0).count();
@@ -232,7 +233,7 @@ impl Solver<'_> {
         })?;
         let certainty = search::certainties(level, &variances);
         let mut surface = log_depths(&planes);
-        let agreement = self.confirmed(&search, &surface)?;
+        let (_, agreement) = self.confirmed(&search, &surface)?;
         let scatter_px = start::scatter(level, &surface);
         for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
             for ((found, &before), &bits) in found.iter_mut().zip(before).zip(agreement) {

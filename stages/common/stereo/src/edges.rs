@@ -21,8 +21,8 @@ const MIN_SLOPE: f64 = 1.4;
 /// Smallest jump, pixel footprints.
 const MIN_JUMP: f64 = 5.0;
 
-/// Log depth of the farther rim for every pixel in a hidden gap, `None` elsewhere.
-/// `footprint` is a pixel's relative footprint.
+/// Log depth of the farther rim for every pixel in a hidden gap, `None` elsewhere. A pixel whose depth is not a number
+/// lies in no gap: there the photo shows nothing, whoever looks. `footprint` is a pixel's relative footprint.
 pub(crate) fn hidden_gaps(
     view: &LevelView,
     depth: &[f64],
@@ -43,7 +43,7 @@ pub(crate) fn hidden_gaps(
         .collect();
     (0..depth.len())
         .map(|p| {
-            if kept[p] {
+            if kept[p] || depth[p].is_nan() {
                 return None;
             }
             let rims = NEIGHBOURS

@@ -79,6 +79,7 @@ pub fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
 ///
 /// Where other views look past an edge they cannot confirm what lies beside it: such a gap belongs to
 /// the farther side. A plate alone would bridge it with a ramp along their lines of sight.
+/// A depth that is not a number is unknown and hidden by nothing: the plate goes on through it.
 /// `footprint` is a pixel's relative footprint, the standard deviation of a confirmed log depth.
 pub fn continued(
     view: &LevelView,
@@ -120,7 +121,7 @@ pub fn continued(
 
 /// Robust thin plate through weighted log depths: `Σ w ρ(ζ − ζ₀) + α |D² ζ|²`, slopes in units of
 /// the focal length; points farther than `sigma` (log depth) from the plate lose their weight.
-/// Cut bends hardly count.
+/// Cut bends hardly count; neither does a log depth of weight zero, which may be unknown (not a number).
 pub fn fill(
     view: &LevelView,
     solver: &PlateSolver,
@@ -142,6 +143,8 @@ pub fn fill(
             .collect();
         median(&mut known).unwrap_or(0.0)
     };
+    let known = |(&d, &w): (&f64, &f64)| if w > 0.0 { d - base } else { 0.0 };
+    let targets: Vec<f64> = depth.iter().zip(weight).map(known).collect();
     let mut system = PlateSystem::new(n);
     let mut current = weight
         .iter()
@@ -152,11 +155,11 @@ pub fn fill(
         system.clear();
         plate::add_plate(view, &mut system, plate_weight, &is_cut);
         for i in 0..n {
-            system.add_point(i, current[i] + 1e-9, depth[i] - base);
+            system.add_point(i, current[i] + 1e-9, targets[i]);
         }
         plate = solver.solve(&system)?;
         for i in 0..n {
-            let r = (plate[i] + base - depth[i]).abs() * weight[i].sqrt() / sigma;
+            let r = (plate[i] - targets[i]).abs() * weight[i].sqrt() / sigma;
             current[i] = weight[i] / (sigma * sigma) * log_weight(r);
         }
     }
@@ -171,34 +174,61 @@ mod tests {
     use super::*;
     use crate::level::flat_view;
 
-    /// A near block before a far plane, four pixels of the plane beside it unconfirmed.
+    const FOCAL: f64 = 100.0;
+
+    /// A near block before a far plane, six pixels of the plane beside it unconfirmed: log depths, and whether pixels
+    /// lie in the gap.
+    fn block(view: &LevelView) -> (Vec<f64>, Vec<bool>) {
+        let depth = |x: u32| if x < 30 { 0.0 } else { 0.25 };
+        let xs = view.pixels.xs.iter();
+        xs.map(|&x| (depth(x), (30..36).contains(&x))).unzip()
+    }
+
+    /// What `depth` is continued to without breaks, and with them.
+    fn continuations(view: &LevelView, depth: &[f64], is_gap: &[bool]) -> [Vec<f64>; 2] {
+        let weight = is_gap.iter().map(|&is_gap| f64::from(u8::from(!is_gap)));
+        let weight: Vec<f64> = weight.collect();
+        let surfaces = PlateSolver::direct(&view.pixels).and_then(|solver| {
+            let plain = fill(view, &solver, depth, &weight, 0.01, 10.0, |_| false)?;
+            let broken = continued(view, &solver, depth, &weight, 1.0 / FOCAL)?;
+            Ok([plain, broken])
+        });
+        match surfaces {
+            Ok(surfaces) => surfaces,
+            Err(error) => panic!("the plate has no solution: {error:?}"),
+        }
+    }
+
     #[test]
     fn a_hidden_gap_continues_the_farther_side() {
-        const FOCAL: f64 = 100.0;
         let view = flat_view(60, 24, FOCAL);
-        let truth: Vec<f64> = (0..view.pixels.len())
-            .map(|p| if view.pixels.xs[p] < 30 { 0.0 } else { 0.25 })
-            .collect();
-        let gap = |p: usize| (30..36).contains(&view.pixels.xs[p]);
-        let weight: Vec<f64> = (0..truth.len())
-            .map(|p| f64::from(u8::from(!gap(p))))
-            .collect();
-        let solver = PlateSolver::direct(&view.pixels);
-        let Ok(solver) = solver else {
-            panic!("{solver:?}")
-        };
-        let plain = fill(&view, &solver, &truth, &weight, 0.01, 10.0, |_| false);
-        let broken = continued(&view, &solver, &truth, &weight, 1.0 / FOCAL);
-        let (Ok(plain), Ok(broken)) = (plain, broken) else {
-            panic!("the plate has no solution")
-        };
+        let (truth, is_gap) = block(&view);
+        let [plain, broken] = continuations(&view, &truth, &is_gap);
         let worst = |depth: &[f64]| {
             (0..truth.len())
-                .filter(|&p| gap(p))
+                .filter(|&p| is_gap[p])
                 .map(|p| (depth[p] - truth[p]).abs())
                 .fold(0.0, f64::max)
         };
         assert!(worst(&plain) > 0.05, "a plate bridges: {}", worst(&plain));
         assert!(worst(&broken) < 0.02, "the gap breaks: {}", worst(&broken));
+    }
+
+    #[test]
+    fn an_unknown_gap_is_bridged_smoothly() {
+        let view = flat_view(60, 24, FOCAL);
+        let (mut depth, is_gap) = block(&view);
+        for (depth, _) in depth.iter_mut().zip(&is_gap).filter(|(_, is_gap)| **is_gap) {
+            *depth = f64::NAN;
+        }
+        let [_, broken] = continuations(&view, &depth, &is_gap);
+        assert!(broken.iter().all(|d| d.is_finite()));
+        // In a row amid: six equal steps of a ramp would be .036 each.
+        let row: Vec<f64> = (0..broken.len())
+            .filter(|&p| view.pixels.ys[p] == 12)
+            .map(|p| broken[p])
+            .collect();
+        let steepest = row.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
+        assert!(steepest < 0.05, "a step of {steepest}");
     }
 }
