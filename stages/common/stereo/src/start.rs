@@ -223,7 +223,7 @@ mod tests {
         }
         let [_, broken] = continuations(&view, &depth, &is_gap);
         assert!(broken.iter().all(|d| d.is_finite()));
-        // In a row amid: six equal steps of a ramp would be .036 each.
+        // In a row amid: seven equal steps of a ramp would be .036 each.
         let row: Vec<f64> = (0..broken.len())
             .filter(|&p| view.pixels.ys[p] == 12)
             .map(|p| broken[p])
