@@ -87,14 +87,12 @@ impl Solver<'_> {
     }
 
     /// Searched log depths, not a number where the patch is clipped all over: there all views can agree on any depth.
-    /// And per pixel the sources, as bits, that confirm what is known.
-    fn confirmed(
+    fn known(
         &self,
         search: &Search<'_>,
         depths: &[Vec<f64>],
-    ) -> Result<(Vec<Vec<f64>>, Vec<Vec<u8>>), ShadingError> {
-        let level = search.level();
-        let clipped = self.divided(memory::search_bytes(level), |i| {
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let clipped = self.divided(memory::search_bytes(search.level()), |i| {
             Ok(search.clipped_all_over(i))
         })?;
         let mut known = depths.to_vec();
@@ -107,8 +105,7 @@ impl Solver<'_> {
                 *depth = f64::NAN;
             }
         }
-        let agreement = start::agreement(level, &known);
-        Ok((known, agreement))
+        Ok(known)
     }
 
     /// A search of a level; `mean_deviation`: as in [`SearchOptions`].
@@ -202,7 +199,8 @@ impl Solver<'_> {
         let search = self.search(at, posed, mean_deviation)?;
         let (search, planes) = self.consistent_search(search, start)?;
         let [alone, depths] = planes.map(|planes| log_depths(&planes));
-        let (known, agreement) = self.confirmed(&search, &depths)?;
+        let known = self.known(&search, &depths)?;
+        let agreement = start::agreement(level, &known);
         let surface = self.continued(at, &known, &agreement)?;
         self.report.search_scatter_px = start::scatter(level, &depths);
         for (view, agreement) in self.report.views.iter_mut().zip(&agreement) {
@@ -233,7 +231,7 @@ impl Solver<'_> {
         })?;
         let certainty = search::certainties(level, &variances);
         let mut surface = log_depths(&planes);
-        let (_, agreement) = self.confirmed(&search, &surface)?;
+        let agreement = start::agreement(level, &self.known(&search, &surface)?);
         let scatter_px = start::scatter(level, &surface);
         for ((found, before), agreement) in surface.iter_mut().zip(depths).zip(&agreement) {
             for ((found, &before), &bits) in found.iter_mut().zip(before).zip(agreement) {
